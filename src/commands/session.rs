@@ -23,7 +23,7 @@ use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
 use super::live::LiveArguments;
 use super::number_arguments::seed_in_toml;
 use super::output::Output;
-use super::rig_arguments::RigArguments;
+use super::rig_arguments::{RigArguments, RigPolicy};
 use super::screen::ScreenArgument;
 use crate::qube::{PlantModel, Profile};
 use crate::session::SessionSettings;
@@ -202,7 +202,10 @@ pub enum SessionMethod {
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     arguments.executor.check()?;
     match several_rigs::asked(&arguments)? {
-        Some(several) => several.run(&arguments, output),
         None => one_qube::run(&arguments, output),
+        Some(several) => match several.policy {
+            RigPolicy::Own => rig_sessions::run(&arguments, several.devices, output),
+            RigPolicy::Shared => shared_session::run(&arguments, several.devices, output),
+        },
     }
 }

@@ -42,8 +42,9 @@ mod worker_pool;
 pub use competition::{
     CHOSEN_OF_STARTS, Competition, ROUNDS, SUCCEEDED, TrainingScore, tenth_percentile,
 };
-pub use error::{JobError, JobFolderError};
+pub use error::JobError;
 pub use executor::{Executor, JobEvent, train_all};
+pub use folder::JobFolderError;
 pub use folder_executor::{AtEnd, FolderExecutor};
 pub use local::LocalExecutor;
 pub use training_job::TrainingJob;

@@ -1,10 +1,9 @@
 use std::net::{SocketAddr, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
 
 use super::feed::Feed;
-use super::foxglove;
+use super::foxglove::{self, STUCK_WITHIN};
 use super::origin::{Admission, Refusal};
 use super::page::{self, Answer};
 use super::request::{BadRequest, Request};
@@ -16,9 +15,6 @@ pub(super) const MAX_CONNECTIONS: usize = 24;
 /// Largest number of those connections that may be viewers, which stay. The others are for requests
 /// that end soon, so that a stop gets through beside all viewers.
 pub(super) const MAX_VIEWERS: usize = 16;
-
-/// Time after which a client that takes no bytes counts as gone.
-pub(super) const STUCK_WITHIN: Duration = Duration::from_secs(5);
 
 /// The state of the view that all connections share.
 pub(super) struct Shared {

@@ -14,7 +14,6 @@ use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Error, Message, WebSocket};
 
 use super::LiveStatus;
-use super::connection::STUCK_WITHIN;
 use super::feed::{Changes, Feed, now_unix_ns};
 use super::page::{self, Answer};
 use super::request::Request;
@@ -24,6 +23,9 @@ use crate::recording::Channel;
 // of data needs it: the server sends its name, advertises channels with their schemas, and sends
 // the messages of the channels that a client subscribes to. It offers no other capability, and
 // ignores all other requests.
+
+/// Time after which a client that takes no bytes counts as gone.
+pub(super) const STUCK_WITHIN: Duration = Duration::from_secs(5);
 
 /// Names of the protocol: the one that Foxglove's SDK uses, and the older one that Lichtblick and
 /// others use. The part of the protocol that is used here is the same under both names.

@@ -8,8 +8,19 @@ use super::scene::{FrameTransforms, SceneUpdate};
 use super::tick_messages::{
     CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TimingMessage,
 };
-use super::writer::topic;
 use crate::telemetry::{Ending, RolloutHeader, TickRecord};
+
+/// Topics of the channels.
+pub(super) mod topic {
+    pub(crate) const MEASUREMENT: &str = "/measurement";
+    pub(crate) const STATE: &str = "/state";
+    pub(crate) const COMMAND: &str = "/command";
+    pub(crate) const SAFETY: &str = "/safety";
+    pub(crate) const TRANSFORMS: &str = "/tf";
+    pub(crate) const SCENE: &str = "/scene";
+    /// The last message of each tick, which completes it.
+    pub(crate) const TIMING: &str = "/timing";
+}
 
 /// A channel of a recording, which live viewers get too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,11 +3,11 @@ use std::io::{self, Read};
 
 use thiserror::Error;
 
+use super::channels::topic;
 use super::tick_messages::{
     CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TickMessages, TimingMessage,
 };
 use super::wire_format::{CRC_32, FRAME_BYTES, Fields, Frame, MAGIC, frame, opcode};
-use super::writer::topic;
 use super::{LAST_TICKS_ATTACHMENT, POLICY_ATTACHMENT, metadata};
 use crate::telemetry::TickRecord;
 

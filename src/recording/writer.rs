@@ -59,18 +59,6 @@ pub struct RolloutWriter<W: Sink> {
     ticks_in_block: u32,
 }
 
-/// Topics of the channels.
-pub(super) mod topic {
-    pub(crate) const MEASUREMENT: &str = "/measurement";
-    pub(crate) const STATE: &str = "/state";
-    pub(crate) const COMMAND: &str = "/command";
-    pub(crate) const SAFETY: &str = "/safety";
-    pub(crate) const TRANSFORMS: &str = "/tf";
-    pub(crate) const SCENE: &str = "/scene";
-    /// The last message of each tick, which completes it.
-    pub(crate) const TIMING: &str = "/timing";
-}
-
 impl RolloutWriter<Box<dyn DiskFile>> {
     /// Creates the file and writes header and policy, so that even a rollout that is killed in its
     /// first tick is identifiable. `policy` are the bytes of the policy file.

@@ -5,13 +5,11 @@ use std::path::Path;
 
 use super::Arguments;
 use super::settings::asked as asked_settings;
-use super::{rig_sessions, shared_session};
 use crate::commands::chosen_device::{ChosenDevice, EMULATED};
 use crate::commands::destination::OutputFolder;
 use crate::commands::executor_arguments::ExecutorArguments;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
-use crate::commands::output::Output;
 use crate::commands::rig_arguments::{RigPolicy, name_of};
 use crate::jobs::starter::quoted;
 use crate::rig::ClockChoice;
@@ -22,8 +20,8 @@ use crate::session::{
 
 /// The Qubes of a session that drives several of them, and how they share policies.
 pub struct SeveralRigs {
-    policy: RigPolicy,
-    devices: Vec<ChosenDevice>,
+    pub policy: RigPolicy,
+    pub devices: Vec<ChosenDevice>,
 }
 
 /// Selects the Qubes that the command line names, or those with which a session is resumed; `None`
@@ -69,17 +67,6 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
     let known: Vec<String> = shared.into_iter().map(|rig| rig.device).collect();
     let devices = devices_to_resume(arguments, root, &known)?;
     Ok(Some(SeveralRigs { policy: RigPolicy::Shared, devices }))
-}
-
-impl SeveralRigs {
-    /// Runs or resumes the sessions of these Qubes, or the session that they share, and prints the
-    /// results.
-    pub fn run(self, arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-        match self.policy {
-            RigPolicy::Own => rig_sessions::run(arguments, self.devices, output),
-            RigPolicy::Shared => shared_session::run(arguments, self.devices, output),
-        }
-    }
 }
 
 /// Selects the Qubes for a session that is resumed: those that the command line names, or emulated

@@ -2,9 +2,9 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use super::error::JobFolderError;
 use super::job_folder::refused;
 use super::{Heartbeat, HeartbeatState, HeartbeatWatch, Holder, JobFolder};
-use crate::jobs::JobFolderError;
 
 /// The place of a process among the coordinators of a folder.
 #[derive(Debug)]

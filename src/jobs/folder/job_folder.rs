@@ -6,11 +6,12 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::error::JobFolderError;
 use super::sealed::{NotSealed, sealed, unsealed};
 use super::terms::{Terms, program};
 use super::{ClaimName, Heartbeat, HeartbeatState, Holder};
 use crate::elementary::Level;
-use crate::jobs::{JobFolderError, TrainingJob};
+use crate::jobs::TrainingJob;
 use crate::learning::{TrainError, Trained, TrainedBytesError};
 use crate::storage::{Disk, file_exists, is_absence, is_unfinished, write_whole};
 

@@ -3,12 +3,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::alive::Alive;
+use super::error::JobFolderError;
 use super::{
     ClaimEnding, ClaimName, Heartbeat, HeartbeatWatch, NextTry, Slot, Tries, WorkReport, Worker,
     WorkerEvent,
 };
+use crate::jobs::TrainingJob;
 use crate::jobs::patience::{PATIENCE, Patience};
-use crate::jobs::{JobFolderError, TrainingJob};
 use crate::learning::{TrainError, Trained, train};
 
 /// Longest time between two looks at a folder that has no work; half the stale time, if that is

@@ -20,6 +20,7 @@
 mod alive;
 mod claim_name;
 mod coordinator;
+mod error;
 mod heartbeat;
 mod holder;
 mod job_folder;
@@ -32,6 +33,7 @@ mod worker_run;
 
 pub use claim_name::ClaimName;
 pub use coordinator::Coordinator;
+pub use error::JobFolderError;
 pub use heartbeat::{ClaimEnding, Heartbeat, HeartbeatState, HeartbeatWatch};
 pub use holder::Holder;
 pub use job_folder::{JobFolder, JobResult};

@@ -1,7 +1,7 @@
 use std::time::Duration;
 
+use super::error::JobFolderError;
 use super::{ClaimEnding, ClaimName, HeartbeatState, HeartbeatWatch, JobFolder};
-use crate::jobs::JobFolderError;
 
 /// The tries of a job so far, and how they ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -3,9 +3,9 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use super::error::JobFolderError;
 use super::{Holder, JobFolder};
 use crate::elementary::Level;
-use crate::jobs::JobFolderError;
 use crate::learning::TrainError;
 
 /// The number of a worker among those that share a folder. It makes each worker begin at another

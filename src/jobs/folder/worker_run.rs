@@ -2,9 +2,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use super::alive::{Alive, AliveFiles};
+use super::error::JobFolderError;
 use super::job_loop::{JobLoop, POLL_INTERVAL};
 use super::{ClaimEnding, Heartbeat, WorkReport, Worker, WorkerEvent};
-use crate::jobs::JobFolderError;
 
 /// Ends the heartbeat thread when the work ends, also when it panics.
 struct HeartbeatEnd<'a>(&'a Alive);
