@@ -36,10 +36,10 @@ const UNFIT_RAD: f64 = 0.03;
 /// after slow steps alone the ratio of a rollout of the same Qube reached 2.9.
 const LARGEST_HELD_OUT_RATIO: f64 = 4.0;
 
-/// Largest factor by which held-out recordings contradict the estimates more than noise and standard
-/// errors predict, with which the model still predicts them. Of a right model the square of the
-/// factor, times the number of directions that the recordings determine, is chi-squared: of eight
-/// directions, chance exceeds 2 in one of 10 000 recordings.
+/// Largest factor by which held-out recordings contradict the estimates more than noise and
+/// standard errors predict, with which the model still predicts them. Of a right model the square
+/// of the factor, times the number of directions that the recordings determine, is chi-squared: of
+/// eight directions, chance exceeds 2 in one of 10 000 recordings.
 const LARGEST_CONTRADICTION: f64 = 2.0;
 
 /// Smallest score that counts as evidence for an effect outside the equations; if the model holds,
@@ -94,8 +94,8 @@ pub enum MissingEffect {
     Play,
     /// Recordings that were held out are explained much worse than those that were fitted.
     HeldOut,
-    /// Recordings that were held out contradict the estimates by more than noise and standard errors
-    /// predict.
+    /// Recordings that were held out contradict the estimates by more than noise and standard
+    /// errors predict.
     Contradicted,
 }
 

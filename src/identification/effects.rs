@@ -29,7 +29,7 @@ pub(super) enum Effect {
     /// A torque of one sign, in proportion to the arm's speed in either direction.
     Direction,
     /// Play between motor and arm: where the torque between them changes its sign, the motor turns
-    /// alone for a moment, and if the encoder is on its side, it is ahead of the arm by half the play.
+    /// alone for a moment, and an encoder on its side is ahead of the arm by half the play.
     Play,
 }
 
