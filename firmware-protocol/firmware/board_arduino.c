@@ -129,7 +129,7 @@ ISR(TIMER1_COMPA_vect)
     has_event = true;
 }
 
-/* Must be called with interrupts off. */
+/* Microseconds since the start, modulo 2^32. The caller must have switched interrupts off. */
 static uint32_t time_us(void)
 {
     uint16_t ticks = TCNT1;
@@ -335,7 +335,7 @@ void board_feed_hardware_watchdog(void)
     wdt_reset();
 }
 
-/* --- the rest --- */
+/* --- EEPROM, emergency stop, start and sleep --- */
 
 uint16_t board_next_boot_number(void)
 {

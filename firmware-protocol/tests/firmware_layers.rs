@@ -29,8 +29,8 @@ fn compile(flags: &[&str], program: &Path) -> bool {
         .success()
 }
 
-/// The path of the C program, which is compiled once for each run of the tests; without sanitisers
-/// if compiling with them fails, which it prints, even if the test's output is captured.
+/// The path of the C program, which is compiled once for each run of the tests. If it cannot be
+/// compiled with sanitisers, it is compiled without them, and a line on stderr says so.
 fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {

@@ -12,7 +12,8 @@ use crate::recording::Recording;
 use crate::replay::MotionLog;
 use crate::telemetry::Phase;
 
-/// Number of rollouts from which a day's drift is estimated.
+/// Number of first rollouts of a day that are compared with the profile; a `run` of fewer compares
+/// those that it has.
 pub const DRIFT_ROLLOUTS: usize = 3;
 
 /// The quantities that change from day to day on an unchanged machine: the command delay, and the
@@ -91,7 +92,7 @@ impl Drift {
     pub fn of(recordings: &[Recording], profile: &QubeModel) -> Result<Self, Unfit> {
         let motions: Vec<MotionLog> =
             recordings.iter().filter_map(MotionLog::of_recording).collect();
-        let motions = fit_motions(&motions)?;
+        let motions = usable_motions(&motions)?;
         let [command_delay, cable_rest] = changing(&motions, profile);
         let encoder = motions[0].plant.encoders.alpha;
         let alpha_tolerance_rad = ALPHA_TOLERANCE_COUNTS * encoder.rad_per_count();
@@ -166,8 +167,8 @@ impl fmt::Display for Drift {
 /// The motions that can be fitted, at least one.
 ///
 /// # Errors
-/// There is none: the reason of the last motion, or [`Unfit::Short`] without any.
-fn fit_motions(motions: &[MotionLog]) -> Result<Vec<&MotionLog>, Unfit> {
+/// No motion can be fitted: the reason for the last one, or [`Unfit::Short`] if there are none.
+fn usable_motions(motions: &[MotionLog]) -> Result<Vec<&MotionLog>, Unfit> {
     let mut unfit = Unfit::Short { duration_s: 0.0, shortest_s: SHORTEST_S };
     let mut fit = Vec::new();
     for motion in motions {

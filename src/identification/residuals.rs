@@ -6,8 +6,8 @@ use crate::qube::{Encoder, Encoders};
 /// Residuals of one sample: theta and alpha, rad.
 pub(super) type Residual = [f64; 2];
 
-/// Root mean square of a stretch's residuals beyond which the stretch loses weight (Huber's
-/// function of whole stretches), in scales of its regime.
+/// Root mean square of a stretch's residuals, in standard deviations of its regime, above which the
+/// stretch loses weight (Huber's function, applied to whole stretches).
 const BAD_STRETCH: f64 = 2.0;
 
 /// Smallest scale with a Qube's encoders, rad: an encoder's resolution bounds the residuals from
@@ -60,8 +60,8 @@ impl Noise {
     }
 }
 
-/// The weight of a stretch with this mean squared residual, in squared scales; 1 for a stretch
-/// whose residuals are at most [`BAD_STRETCH`].
+/// The weight of a stretch with this mean squared residual, in squared standard deviations of its
+/// regime: 1 as long as its root mean square is at most [`BAD_STRETCH`].
 pub(super) fn robust_weight(mean_square: f64) -> f64 {
     (BAD_STRETCH / mean_square.sqrt()).min(1.0)
 }
@@ -79,7 +79,7 @@ pub(super) fn robust_cost(noise: &Noise, residuals: &[Residual]) -> f64 {
     2.0 * residuals.len() as f64 * bounded / noise.autocorrelation_samples + 0.0 * square
 }
 
-/// The mean squared residual in squared scales.
+/// The mean squared residual of both angles, in squared standard deviations of the regime.
 pub(super) fn mean_square(noise: &Noise, residuals: &[Residual]) -> f64 {
     let scaled = |[theta, alpha]: &Residual| {
         (theta / noise.scale.theta_rad).powi(2) + (alpha / noise.scale.alpha_rad).powi(2)

@@ -61,8 +61,9 @@ impl UniversalPolicy {
         self.at_zero.best_return
     }
 
-    /// The ordinary policy at these physics inputs; inputs that are not given are 0. Its returns
-    /// and its curve are those of the training, in which the network had the inputs of each
+    /// The ordinary policy at these physics inputs: `[count]`, in the order of
+    /// [`PhysicsInputs::of`]. Missing inputs count as 0, and inputs beyond `count` are ignored. Its
+    /// returns and its curve are those of the training, in which the network had the inputs of each
     /// simulated Qube.
     ///
     /// # Errors

@@ -66,7 +66,7 @@ pub enum PlantError {
 
 impl PlantModel {
     /// The Quanser Qube (QUBE-Servo 2): the values of its name plate, encoders with 512 lines on
-    /// both axes, stops at +-137 degrees, and at most 5 V.
+    /// both axes, stops at ±137 degrees, and at most 5 V.
     pub const QUBE: Self = Self {
         name: PlantName::QUBE,
         parameters: DomainParameters::NOMINAL,
@@ -211,7 +211,7 @@ impl Default for PlantModel {
     }
 }
 
-/// The accepted values.
+/// Inclusive range of the values that a file may give.
 type Range = RangeInclusive<f64>;
 
 /// Accepted angles of a stop, rad. With a smaller angle no box leaves enough room for a swing-up;
@@ -279,8 +279,8 @@ fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error>
     within(deserializer, 1e-6..=1e3)
 }
 
-/// A motor of more than 50 ohm draws too little current, of which a sample has whole milliamperes,
-/// to be told from a dead one.
+/// Reads a resistance, ohm. A motor of more than 50 ohm draws too little current to be told from a
+/// dead one, because a sample reports whole milliamperes.
 fn resistance<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, 1e-6..=50.0)
 }

@@ -1,4 +1,4 @@
-//! Messages of proto3, for the few of a recording that use Protocol Buffers.
+//! Writes Protocol Buffers messages (proto3), which a few of a recording's channels use.
 
 use crate::storage::ProtobufMessage;
 

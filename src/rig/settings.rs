@@ -15,7 +15,7 @@ pub const LINK_PATIENCE_S: f64 = 30.0;
 /// The connection to a Qube.
 #[derive(Clone, Debug)]
 pub enum DeviceChoice {
-    /// The embedded emulator.
+    /// The emulator that is part of this program.
     Emulated,
     /// A serial port by its name.
     Port(String),
@@ -101,7 +101,7 @@ pub struct RigSettings {
     pub plant: PlantModel,
     /// Homing and signs of the rig.
     pub homing: HomingSettings,
-    /// Skips the check before the first motion of a real Qube.
+    /// Whether the check before the first motion of a real Qube is skipped.
     pub skip_check: bool,
     /// Serial number of the board to which the signs belong, if known; another board is refused.
     pub board: Option<String>,
@@ -131,7 +131,8 @@ pub struct Recovery {
     pub doubts: Option<DoubtStore>,
     /// Doubt that is known before the device is opened, because a session's ledger ends with it.
     pub doubt: Option<Doubt>,
-    /// Heat of the motor of a real Qube whose rig is opened again.
+    /// Heat that the motor had when its rig was last closed; a rig that is opened again begins with
+    /// it.
     pub motor: MotorMemory,
 }
 
@@ -176,7 +177,8 @@ impl RigSettings {
         }
     }
 
-    /// Settings of a rig with the embedded emulator, which has these settings, in virtual time.
+    /// Settings of a rig with the emulator that is part of this program, which has these settings,
+    /// in virtual time.
     #[must_use]
     pub fn emulated(emulator: EmulatorSettings) -> Self {
         Self { emulator, ..Self::in_virtual_time(DeviceChoice::Emulated) }

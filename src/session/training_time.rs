@@ -11,9 +11,8 @@ use crate::storage::{Disk, WriteError, write_whole};
 const FILE_BYTES: u64 = 64 << 10;
 
 /// The start and the end of one training of a candidate, by the clock of the session's computer.
-///
-/// A training on another computer counts from the moment when the session asked for it until its
-/// result arrived, so the time includes the wait for a worker.
+/// For a training on another computer, the start is the moment when the session asked for it, and
+/// the end is the arrival of its result, so the time includes the wait for a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingTime {

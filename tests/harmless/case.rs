@@ -12,7 +12,7 @@ pub enum Case {
     Healthy,
     ThetaDeadFromTheStart,
     /// The count freezes; the tachometer keeps its last velocity.
-    ThetaFrozen,
+    ThetaStuck,
     /// The count freezes; the tachometer shows an arm at rest.
     ThetaDead,
     /// The count freezes for a while; counts in that time are lost.
@@ -35,9 +35,9 @@ pub enum Case {
     ArmHeldLater,
     BesideAStop,
     BesideAStopFalling,
-    /// The arm's encoder counts half as many.
+    /// The arm's encoder has half as many lines as a Qube's.
     ThetaHalf,
-    /// The arm's encoder counts twice as many.
+    /// The arm's encoder has twice as many lines as a Qube's.
     ThetaDouble,
     /// The motor turns in one direction only.
     MotorOneSided,
@@ -51,7 +51,7 @@ impl Case {
     pub const ALL: [Self; 27] = [
         Self::Healthy,
         Self::ThetaDeadFromTheStart,
-        Self::ThetaFrozen,
+        Self::ThetaStuck,
         Self::ThetaDead,
         Self::ThetaLapse,
         Self::ThetaJump,
@@ -83,7 +83,7 @@ impl Case {
         matches!(
             self,
             Self::ThetaDeadFromTheStart
-                | Self::ThetaFrozen
+                | Self::ThetaStuck
                 | Self::ThetaDead
                 | Self::ThetaLapse
                 | Self::ThetaJump
@@ -98,10 +98,9 @@ impl Case {
             Self::Healthy | Self::BesideAStop | Self::BesideAStopFalling | Self::MotorHalf => {
                 fault == MotorWeak && self == Self::MotorHalf
             }
-            Self::ThetaDeadFromTheStart
-            | Self::ThetaFrozen
-            | Self::ThetaDead
-            | Self::ThetaLapse => fault == EncoderFrozen,
+            Self::ThetaDeadFromTheStart | Self::ThetaStuck | Self::ThetaDead | Self::ThetaLapse => {
+                fault == EncoderFrozen
+            }
             Self::ThetaJump => fault == EncoderJump,
             Self::AlphaDeadFromTheStart | Self::AlphaFrozen | Self::AlphaLapse => {
                 fault == PendulumFrozen
@@ -115,7 +114,8 @@ impl Case {
             Self::ArmHeld | Self::ArmHeldLater => matches!(fault, ArmHeld | Stall),
             Self::ThetaHalf | Self::ThetaDouble => matches!(fault, EncodersDisagree | TravelWrong),
             Self::MotorOneSided => matches!(fault, MotorDead | MotorWeak),
-            // The count that stays is the pendulum's, in the place of the arm's.
+            // The program reads the pendulum's count as the arm's, and a push of the arm hardly
+            // changes it.
             Self::EncodersExchanged => matches!(fault, EncoderFrozen | PendulumFrozen),
             // An operator who is told of a wrong sign would change it.
             Self::ArmPushed | Self::PendulumHeld => {
@@ -133,12 +133,12 @@ impl Case {
 /// The Qubes of which a start draws one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Qubes {
-    /// Nominal, `lab` and `lab` with 1.5 times its gap; half of them with parameters up to 10 %
-    /// off.
+    /// Nominal, `lab`, and `lab` moved 1.5 times as far from nominal; half of them with parameters
+    /// up to 10 % off.
     Near,
     /// Any Qube: motor, masses and lengths up to 20 % off; damping of the arm 0.3 to 4 times, of
     /// the pendulum 0.05 to 2 times nominal; friction, cable, dead zones and delay from none to
-    /// about twice those of `lab`.
+    /// about 2.5 times those of `lab`.
     Far,
 }
 
@@ -213,7 +213,7 @@ impl Start {
                 onset_s = 0.0;
                 Some(EmulatorFault::FrozenTheta { after_s: 0.0 })
             }
-            Case::ThetaFrozen => Some(EmulatorFault::StuckTheta { after_s: onset_s }),
+            Case::ThetaStuck => Some(EmulatorFault::StuckTheta { after_s: onset_s }),
             Case::ThetaDead => Some(EmulatorFault::FrozenTheta { after_s: onset_s }),
             Case::ThetaLapse => Some(EmulatorFault::LapsingTheta { after_s: onset_s, lasts_s }),
             Case::ThetaJump => Some(EmulatorFault::JumpTheta { after_s: onset_s, counts }),

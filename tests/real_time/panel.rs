@@ -83,7 +83,7 @@ impl Panel {
         assert!(state.starts_with("enabled false\n"), "{state}");
     }
 
-    /// Number of calls of a function.
+    /// Number of times that the program called this function of the vendor's library.
     pub fn calls(&self, function: &str) -> u64 {
         let state = self.amplifier().unwrap_or_default();
         let line = state.lines().find_map(|line| line.strip_prefix(function)?.strip_prefix(' '));

@@ -10,7 +10,7 @@ use crate::program::{has_refused, qube_hil, refused, succeeds};
 use crate::shared::command_in;
 
 #[test]
-fn policies_that_are_none() {
+fn files_that_are_no_policies_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("bad.safetensors");
     let run = |words: &[&str]| {
@@ -77,7 +77,7 @@ fn a_foreign_name_in_an_onnx_file_begins_no_line() {
 }
 
 #[test]
-fn configurations_that_are_none() {
+fn invalid_configurations_are_refused_with_their_line() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("my.toml");
     let session = |text: &str, words: &[&str]| {
@@ -100,7 +100,7 @@ fn configurations_that_are_none() {
 }
 
 #[test]
-fn names_that_are_no_text_are_names() {
+fn output_names_need_not_be_utf_8() {
     use std::os::unix::ffi::OsStrExt;
     let directory = tempfile::tempdir().unwrap();
     let out = std::ffi::OsStr::from_bytes(b"r\xff");
@@ -139,7 +139,7 @@ fn names_that_are_no_text_are_names() {
 }
 
 #[test]
-fn policies_and_profiles_may_have_names_that_are_no_text() {
+fn names_of_policies_and_profiles_need_not_be_utf_8() {
     use std::ffi::OsStr;
     use std::os::unix::ffi::OsStrExt;
     let directory = tempfile::tempdir().unwrap();
@@ -186,7 +186,7 @@ fn policies_and_profiles_may_have_names_that_are_no_text() {
 }
 
 #[test]
-fn a_simulator_is_laid_beside_a_recording_by_the_name_of_its_profile() {
+fn replay_simulate_takes_a_profile_by_name() {
     let directory = tempfile::tempdir().unwrap();
     for (name, missing) in
         [("lab", "missing.mcap"), ("lap", "a profile that identify wrote, or one of the names")]
@@ -279,7 +279,7 @@ fn a_folder_in_which_another_program_records_is_in_use() {
 }
 
 #[test]
-fn files_that_are_no_text_are_called_so() {
+fn files_that_are_not_utf_8_are_refused_as_such() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("bytes"), [0xff, 0xfe, 0x00]).unwrap();
     let run = ["run", "--policy", "classical", "--clock", "virtual"];

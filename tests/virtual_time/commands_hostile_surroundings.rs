@@ -105,9 +105,9 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
     let small = "[extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\n\
                  verification_rollouts = 1\n[training]\nupdates = 1\nnum_envs = 16\nepochs = 1\n";
     std::fs::write(at("small.toml"), small).unwrap();
-    // Each case: the folder of the command's output, the names of links in it (names with a space
-    // between them at the same time, the others one after the other), the exit code, and the
-    // command. It refuses a folder or a checkpoint that it has not made, and replaces other files.
+    // Each case: the command's output folder, the names of the links that are tried in it one after
+    // the other, the exit code, and the command. The program refuses a folder or a checkpoint that
+    // it has not made, and replaces other files.
     let train = [
         "train",
         "--model",
@@ -150,9 +150,7 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
             std::fs::write(&foreign, "precious").unwrap();
             let _ = std::fs::remove_dir_all(at(folder));
             std::fs::create_dir(at(folder)).unwrap();
-            for name in link.split(' ') {
-                symlink(&foreign, at(folder).join(name)).unwrap();
-            }
+            symlink(&foreign, at(folder).join(link)).unwrap();
             let output = qube_hil(directory.path(), arguments);
             let told = String::from_utf8_lossy(&output.stderr);
             assert_eq!(output.status.code(), Some(code), "{arguments:?}, {link}: {told}");

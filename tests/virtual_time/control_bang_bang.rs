@@ -28,14 +28,14 @@ const ROLLOUTS: u64 = 20;
 /// Number of threads, each with Qubes of its own.
 const THREADS: u64 = 2;
 
-/// Number of ticks for each of which a thread may drive one Qube; a Qube usually gives nine times
-/// as many.
+/// Ticks that a Qube must give on average: a thread may drive one Qube for each 1000 ticks that it
+/// needs. A Qube usually gives 9000.
 const LEAST_TICKS: u64 = 1_000;
 
 /// Number of Qubes that a thread may drive in addition.
 const SPARE_QUBES: u64 = 20;
 
-/// Number of Qubes for each of which one homing may fail; usually fewer than 1 of 1000 fails.
+/// One homing may fail for every so many Qubes; usually fewer than 1 of 1000 fails.
 const QUBES_PER_FAILED_HOMING: u64 = 100;
 
 /// Longest delay from a command to the motor, s. At a delay of a period, a voltage that alternates

@@ -31,7 +31,7 @@ struct Shortfalls {
 fn expected(case: Case) -> Shortfalls {
     let none = Shortfalls::default();
     match case {
-        Case::ThetaFrozen | Case::ThetaDead => Shortfalls { misnamed: 1, damped_long: 2, ..none },
+        Case::ThetaStuck | Case::ThetaDead => Shortfalls { misnamed: 1, damped_long: 2, ..none },
         Case::ThetaLapse => Shortfalls { misnamed: 5, false_results: 4, damped_long: 2, ..none },
         Case::AlphaFrozen => Shortfalls { misnamed: 1, ..none },
         Case::AlphaJump | Case::ArmHeldLater => Shortfalls { misnamed: 2, ..none },

@@ -1,6 +1,6 @@
 /* Answers questions about the firmware's pure layers, compiled for the computer: one question a
  * line of standard input, one answer a line of output. The test
- * firmware-protocol/tests/firmware_layers.rs asks.
+ * firmware-protocol/tests/firmware_layers.rs asks. Times are in microseconds.
  *
  *   stream HEX              the frames and the dropped frames in these bytes
  *   again HEX               a frame decoded and encoded again

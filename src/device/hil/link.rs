@@ -1,8 +1,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::card_service::{CardOperation, CardService, Request, RequestKind, Unperformed};
 use super::panel::NoSample;
-use super::worker::{Job, Request, RequestKind, Unperformed, Worker};
 use super::{HilAddress, HilError};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError, Identity, LinkFault, MAX_SAMPLE_AGE_NS};
@@ -22,7 +22,7 @@ const OFF_TIME: Duration = Duration::from_millis(500);
 /// The library gives no time of a sample. [`Measurement::device_time_us`] is the computer's time at
 /// which the read began; the age of the counts at that time is unknown.
 pub struct HilLink {
-    worker: Worker,
+    service: CardService,
     address: HilAddress,
     clock: Arc<dyn Clock>,
     number: u64,
@@ -42,9 +42,9 @@ impl HilLink {
     /// The library is not found or lacks a function (so is of another version). Or the thread that
     /// calls it cannot start, or does not load it in time because it is still in an earlier call.
     pub fn open(address: &HilAddress, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
-        let worker = Worker::start(address.clone(), Arc::clone(&clock))?;
+        let service = CardService::start(address.clone(), Arc::clone(&clock))?;
         Ok(Self {
-            worker,
+            service,
             address: address.clone(),
             clock,
             number: 0,
@@ -56,14 +56,14 @@ impl HilLink {
         })
     }
 
-    /// Has the library's thread do a job between motions, and waits for the result for at most
+    /// Has the library's thread carry out an operation between motions, and waits for at most
     /// `longest`.
     fn perform<T>(
         &self,
-        job: impl FnOnce(crossbeam_channel::Sender<Result<T, HilError>>) -> Job,
+        operation: impl FnOnce(crossbeam_channel::Sender<Result<T, HilError>>) -> CardOperation,
         longest: Duration,
     ) -> Result<T, DeviceError> {
-        self.worker.perform(job, longest).map_err(|unperformed| match unperformed {
+        self.service.perform(operation, longest).map_err(|unperformed| match unperformed {
             Unperformed::NoResult => self.hung(longest).into(),
             Unperformed::Failed(error) => error.into(),
         })
@@ -72,14 +72,14 @@ impl HilLink {
     fn hung(&self, longest: Duration) -> HilError {
         let port = self.address.to_string();
         let (function, waited_s) =
-            self.worker.under_way().unwrap_or(("a call", longest.as_secs_f64()));
+            self.service.under_way().unwrap_or(("a call", longest.as_secs_f64()));
         HilError::Hung { port, function, waited_s }
     }
 
     fn ask(&mut self, expires_ns: Nanoseconds, kind: RequestKind) -> Result<u64, LinkFault> {
         self.number += 1;
         let request = Request { number: self.number, expires_ns, kind };
-        if self.worker.ask(request) { Ok(self.number) } else { Err(LinkFault::Full) }
+        if self.service.ask(request) { Ok(self.number) } else { Err(LinkFault::Full) }
     }
 }
 
@@ -87,7 +87,7 @@ impl Device for HilLink {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
         (self.is_greeted, self.is_armed, self.is_tripped) = (false, false, false);
         self.last_sample = None;
-        let identity = self.perform(Job::Hello, HELLO_TIME)?;
+        let identity = self.perform(CardOperation::Hello, HELLO_TIME)?;
         self.is_greeted = true;
         Ok(identity)
     }
@@ -96,7 +96,7 @@ impl Device for HilLink {
         if !self.is_greeted {
             return Err(HilError::NotGreeted { port: self.address.to_string() }.into());
         }
-        self.perform(Job::Arm, ARM_TIME)?;
+        self.perform(CardOperation::Arm, ARM_TIME)?;
         self.is_armed = true;
         Ok(())
     }
@@ -104,7 +104,7 @@ impl Device for HilLink {
     fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
         let asked_ns = self.clock.now_ns();
         let number = self.ask(deadline_ns, RequestKind::Sample)?;
-        let reply = self.worker.wait(number, deadline_ns).ok_or(LinkFault::Timeout)?;
+        let reply = self.service.wait(number, deadline_ns).ok_or(LinkFault::Timeout)?;
         let measurement = match reply.sample {
             Ok(measurement) => measurement,
             Err(NoSample::Gone) => return Err(LinkFault::Gone),
@@ -136,7 +136,7 @@ impl Device for HilLink {
 
     fn disarm(&mut self) -> Result<(), DeviceError> {
         self.is_armed = false;
-        self.perform(Job::Off, OFF_TIME)
+        self.perform(CardOperation::Off, OFF_TIME)
     }
 
     fn has_device_clock(&self) -> bool {
@@ -155,6 +155,6 @@ impl Device for HilLink {
 impl Drop for HilLink {
     /// Switches the amplifier off and closes the card, also when the control thread panics.
     fn drop(&mut self) {
-        self.worker.end(OFF_TIME);
+        self.service.end(OFF_TIME);
     }
 }

@@ -13,17 +13,17 @@
 //! | `card.rs` | one card: typed calls, error codes as sentences |
 //! | `panel.rs` | the operations on one card: greet, arm, sample, act, off |
 //! | `thread.rs` | the one thread that calls the library |
-//! | `worker.rs` | the thread's work for one card, and the exchange of requests and replies |
+//! | `card_service.rs` | the service of one card, and its exchange of requests and replies |
 //! | `link.rs` | the implementation of [`Device`](super::Device) |
 
 mod address;
 mod card;
+mod card_service;
 mod error;
 mod library;
 mod link;
 mod panel;
 mod thread;
-mod worker;
 
 pub use address::{HilAddress, NotAnAddress};
 pub use error::HilError;

@@ -3,7 +3,7 @@ use std::sync::{Mutex, PoisonError};
 
 use crossbeam_channel::Sender;
 
-/// A worker's whole use of the library, from loading it to closing the card.
+/// A service's whole use of the library, from loading it to closing the card.
 pub(super) type Work = Box<dyn FnOnce() + Send>;
 
 /// The one thread of this process that calls the vendor's library, once it has been started.

@@ -9,7 +9,7 @@ use thiserror::Error;
 use super::{StartError, Starter, WorkerCount, log_folder};
 use crate::jobs::folder::JobFolder;
 
-/// Time for which a start that is to end may take to do so before it is killed.
+/// Time after the request to end within which a start must end; after it, the start is killed.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
 /// Time between two looks at starts that are to end.

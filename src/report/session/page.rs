@@ -113,7 +113,7 @@ fn outcome(source: &SessionSource) -> Vec<String> {
     let baseline = source.candidates.iter().find(|it| it.candidate.purpose == Purpose::Baseline);
     if let Some(mean) = baseline.and_then(ScoredCandidate::mean_return) {
         sentences.push(format!(
-            "For comparison, a policy that was trained on the nominal Qube alone earned {mean:.1}."
+            "For comparison, a policy that was trained on the nominal Qube alone had a mean return of {mean:.1}."
         ));
     }
     sentences
@@ -227,7 +227,7 @@ fn add_faults(page: &mut Page, source: &SessionSource) {
     }
     if source.observer_resets > 0 {
         page.paragraph(&format!(
-            "The observer diverged {} times: its model or delay does not match this Qube.",
+            "Number of times that the observer diverged: {}. Its model or delay does not match this Qube.",
             source.observer_resets
         ));
     }

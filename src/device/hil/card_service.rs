@@ -49,49 +49,49 @@ pub(super) struct Reply {
     pub(super) sample: Result<Measurement, NoSample>,
 }
 
-/// A job for the card between motions, with the channel for its result.
-pub(super) enum Job {
+/// An operation on the card between motions, with the channel for its result.
+pub(super) enum CardOperation {
     Hello(Sender<Result<Identity, HilError>>),
     Arm(Sender<Result<(), HilError>>),
     Off(Sender<Result<(), HilError>>),
-    /// Switches the amplifier off and closes the card. After this job the thread is free for
-    /// another worker.
+    /// Switches the amplifier off and closes the card. After this operation the thread is free for
+    /// another service.
     End(Sender<Result<(), HilError>>),
 }
 
-/// The reason why a job has no result.
+/// The reason why an operation has no result.
 #[derive(Debug)]
 pub(super) enum Unperformed {
-    /// The job took too long, or the thread has ended.
+    /// The operation took too long, or the thread has ended.
     NoResult,
-    /// The job failed.
+    /// The operation failed.
     Failed(HilError),
 }
 
-/// The control thread's handle of the thread that calls the vendor's library for one card.
+/// The control thread's access to one card, whose calls the library's thread makes.
 ///
 /// The tick's requests and replies are `Copy` and pass through wait-free rings. Each side wakes the
 /// other with a counter in the kernel (`eventfd`). The control thread waits for its counter up to a
 /// time limit, as for a serial port; the library's thread waits without one.
-pub(super) struct Worker {
+pub(super) struct CardService {
     requests: rtrb::Producer<Request>,
     replies: rtrb::Consumer<Reply>,
     shared: Arc<Shared>,
     clock: Arc<dyn Clock>,
 }
 
-/// The parts of a worker that any thread may use.
+/// The parts of a service that any thread may use.
 struct Shared {
-    jobs: Sender<Job>,
-    /// Counter that each request and each job increments.
+    operations: Sender<CardOperation>,
+    /// Counter that each request and each operation increments.
     asked: OwnedFd,
     /// Counter that each reply increments.
     answered: OwnedFd,
     calling: Arc<Calling>,
 }
 
-impl Worker {
-    /// Makes the library's thread load the library and serve this worker. No card is opened yet.
+impl CardService {
+    /// Makes the library's thread load the library and begin this service. No card is opened yet.
     pub(super) fn start(address: HilAddress, clock: Arc<dyn Clock>) -> Result<Self, HilError> {
         let port = address.to_string();
         let failed = |reason: String| HilError::NoThread { port: port.clone(), reason };
@@ -101,11 +101,11 @@ impl Worker {
             counter(EventfdFlags::NONBLOCK).map_err(|error| failed(error.to_string()))?;
         let (requests, to_serve) = rtrb::RingBuffer::new(RING);
         let (to_reply, replies) = rtrb::RingBuffer::new(RING);
-        let (jobs, to_do) = crossbeam_channel::unbounded();
+        let (operations, to_do) = crossbeam_channel::unbounded();
         let calling = Arc::new(Calling::default());
-        let shared = Arc::new(Shared { jobs, asked, answered, calling });
+        let shared = Arc::new(Shared { operations, asked, answered, calling });
         // A channel without a buffer: `send` fails if `start` has given up waiting and has returned
-        // no worker, so that the thread serves none.
+        // nothing, so that the thread serves nobody.
         let (loaded, is_loaded) = crossbeam_channel::bounded(0);
         let (serving, its_clock) = (Arc::clone(&shared), Arc::clone(&clock));
         let work = move || {
@@ -139,7 +139,8 @@ impl Worker {
         Ok(Self { requests, replies, shared, clock })
     }
 
-    /// Hands over a request of the tick without waiting; `false` if earlier requests fill the ring.
+    /// Hands over a request of the tick without waiting. Returns `false` if earlier requests fill
+    /// the ring or the library's thread cannot be woken.
     pub(super) fn ask(&mut self, request: Request) -> bool {
         self.requests.push(request).is_ok() && wake(&self.shared.asked)
     }
@@ -167,16 +168,16 @@ impl Worker {
         }
     }
 
-    /// Runs a job and returns its result.
+    /// Runs an operation and returns its result.
     ///
     /// # Errors
-    /// The job fails, takes longer than `longest`, or the thread has ended.
+    /// The operation fails, takes longer than `longest`, or the thread has ended.
     pub(super) fn perform<T>(
         &self,
-        job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
+        operation: impl FnOnce(Sender<Result<T, HilError>>) -> CardOperation,
         longest: Duration,
     ) -> Result<T, Unperformed> {
-        self.shared.perform(job, longest)
+        self.shared.perform(operation, longest)
     }
 
     /// The call of the library that has not returned: its name, and the time since it began, s.
@@ -188,18 +189,18 @@ impl Worker {
     /// `longest`. Nothing can interrupt a call of the library; if one takes longer, the card is
     /// closed after it.
     pub(super) fn end(&mut self, longest: Duration) {
-        let _ = self.shared.perform(Job::End, longest);
+        let _ = self.shared.perform(CardOperation::End, longest);
     }
 }
 
-/// The error of a worker that cannot begin, because the library's thread is still in a call of an
-/// earlier worker.
+/// The error of a service that cannot begin, because the library's thread is still in a call of an
+/// earlier service.
 fn earlier_call(clock: &dyn Clock, port: String, waited: Duration) -> HilError {
     let alive = ALIVE.lock().unwrap_or_else(PoisonError::into_inner);
     let under_way = alive
         .iter()
         .filter_map(Weak::upgrade)
-        .find_map(|worker| worker.under_way(clock))
+        .find_map(|service| service.under_way(clock))
         .unwrap_or(("a call", waited.as_secs_f64()));
     let (function, waited_s) = under_way;
     HilError::Hung { port, function, waited_s }
@@ -214,12 +215,12 @@ impl Shared {
 
     fn perform<T>(
         &self,
-        job: impl FnOnce(Sender<Result<T, HilError>>) -> Job,
+        operation: impl FnOnce(Sender<Result<T, HilError>>) -> CardOperation,
         longest: Duration,
     ) -> Result<T, Unperformed> {
         // A channel without a buffer: `send` fails if the caller has given up waiting.
         let (result, done) = crossbeam_channel::bounded(0);
-        self.jobs.send(job(result)).map_err(|_| Unperformed::NoResult)?;
+        self.operations.send(operation(result)).map_err(|_| Unperformed::NoResult)?;
         wake(&self.asked);
         let result = done.recv_timeout(longest).map_err(|_| Unperformed::NoResult)?;
         result.map_err(Unperformed::Failed)
@@ -236,12 +237,13 @@ fn wake(counter: &OwnedFd) -> bool {
     }
 }
 
-/// Serves requests and jobs until [`Job::End`] has been served, or no request can be noticed any
-/// more. At the end it switches the amplifier off, if the card still obeys, and closes the card.
+/// Serves requests and operations until [`CardOperation::End`] has been served, or no request can
+/// be noticed any more. At the end it switches the amplifier off, if the card still obeys, and
+/// closes the card.
 fn serve(
     mut panel: Panel,
     shared: &Shared,
-    jobs: &Receiver<Job>,
+    operations: &Receiver<CardOperation>,
     mut requests: rtrb::Consumer<Request>,
     mut replies: rtrb::Producer<Reply>,
     clock: &dyn Clock,
@@ -252,20 +254,20 @@ fn serve(
             break;
         }
         loop {
-            if let Ok(job) = jobs.try_recv() {
-                // A job means that the motion is over, so its requests, above all its voltages, are
-                // void.
+            if let Ok(operation) = operations.try_recv() {
+                // An operation means that the motion is over, so its requests, above all its
+                // voltages, are void.
                 while requests.pop().is_ok() {}
-                match job {
-                    Job::Hello(result) => drop(result.send(panel.hello())),
+                match operation {
+                    CardOperation::Hello(result) => drop(result.send(panel.hello())),
                     // A late arm must not leave the amplifier on for a caller that has given up.
-                    Job::Arm(result) => {
+                    CardOperation::Arm(result) => {
                         if result.send(panel.arm()).is_err() {
                             let _ = panel.off();
                         }
                     }
-                    Job::Off(result) => drop(result.send(panel.off())),
-                    Job::End(result) => {
+                    CardOperation::Off(result) => drop(result.send(panel.off())),
+                    CardOperation::End(result) => {
                         let off = panel.off();
                         panel.close();
                         let _ = result.send(off);
@@ -297,12 +299,12 @@ fn serve(
     panel.close();
 }
 
-/// The workers whose amplifiers are switched off when the process ends.
+/// The services whose amplifiers are switched off when the process ends.
 static ALIVE: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
-/// Registers a worker, so that its amplifier goes off even if the process ends without dropping the
-/// worker, for example after a second Ctrl-C. If the process is killed, only the watchdog switches
-/// the amplifier off.
+/// Registers a service, so that its amplifier goes off even if the process ends without dropping
+/// the service, for example after a second Ctrl-C. If the process is killed, only the watchdog
+/// switches the amplifier off.
 fn switch_off_at_exit(shared: &Arc<Shared>) {
     let mut alive = ALIVE.lock().unwrap_or_else(PoisonError::into_inner);
     if alive.is_empty() {
@@ -310,13 +312,13 @@ fn switch_off_at_exit(shared: &Arc<Shared>) {
         // program.
         unsafe { libc::atexit(at_exit) };
     }
-    alive.retain(|worker| worker.strong_count() > 0);
+    alive.retain(|service| service.strong_count() > 0);
     alive.push(Arc::downgrade(shared));
 }
 
 extern "C" fn at_exit() {
     let Ok(alive) = ALIVE.try_lock() else { return };
-    for worker in alive.iter().filter_map(Weak::upgrade) {
-        let _ = worker.perform(Job::Off, AT_EXIT);
+    for service in alive.iter().filter_map(Weak::upgrade) {
+        let _ = service.perform(CardOperation::Off, AT_EXIT);
     }
 }
