@@ -26,7 +26,7 @@ use super::executor_arguments::ExecutorArguments;
 use super::exit::Failure;
 use super::failures;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
-use super::keyboard::Keyboard;
+use super::keyboard::{CtrlZ, Keyboard};
 use super::live::{Live, LiveArguments};
 use super::method_arguments::MethodArguments;
 use super::named_values::{named, presets};
@@ -318,7 +318,7 @@ impl Attached {
         let viewers = screens.into_iter().chain(live.viewer()).collect();
         let rig = RigSettings { viewers, ..rig };
         let keyboard = if is_hardware {
-            Some(Keyboard::watch(stop, &screen.progress()))
+            Some(Keyboard::watch(stop, &screen.progress(), CtrlZ::Stops))
         } else {
             Keyboard::of_screen(stop, &screen.progress())
         };

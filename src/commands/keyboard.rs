@@ -12,14 +12,14 @@ use rustix::event::{EventfdFlags, eventfd};
 use rustix::io::Errno;
 use rustix::stdio::stdin;
 use rustix::termios::isatty;
-use signal_hook::consts::SIGTSTP;
 
 use super::printable::print_message;
 use super::screen::Progress;
 use super::stop::Stop;
+use super::suspension::Suspension;
 use super::terminal;
 use crate::control::HomingMethod;
-use crate::rig::Doubt;
+use crate::rig::{DeviceChoice, Doubt};
 
 /// A reader of single keys from the terminal; dropping it restores the terminal.
 ///
@@ -29,6 +29,23 @@ use crate::rig::Doubt;
 pub struct Keyboard {
     watched: Option<Watched>,
     progress: Progress,
+}
+
+/// The effect of Ctrl-Z.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CtrlZ {
+    /// Suspends the program until the shell continues it.
+    Suspends,
+    /// Requests a stop, as the space bar does: a program that is suspended can brake no arm.
+    Stops,
+}
+
+impl CtrlZ {
+    /// The effect in a command that drives these Qubes.
+    pub fn with<'d>(devices: impl IntoIterator<Item = &'d DeviceChoice>) -> Self {
+        let drives_hardware = devices.into_iter().any(DeviceChoice::is_hardware);
+        if drives_hardware { Self::Stops } else { Self::Suspends }
+    }
 }
 
 #[derive(Debug)]
@@ -43,7 +60,8 @@ struct Shared {
     stop: Arc<AtomicBool>,
     /// Whether a question waits for a key: the next key then answers it and requests no stop.
     asking: AtomicBool,
-    suspended: Arc<AtomicBool>,
+    ctrl_z: CtrlZ,
+    suspension: Suspension,
     ended: AtomicBool,
     wake: OwnedFd,
     progress: Progress,
@@ -52,14 +70,14 @@ struct Shared {
 impl Keyboard {
     /// Watches the terminal; the space bar requests a stop. With a screen, the screen's keys work,
     /// too.
-    pub fn watch(stop: &Stop, progress: &Progress) -> Self {
-        let watched = if isatty(stdin()) { Watched::start(stop, progress) } else { None };
+    pub fn watch(stop: &Stop, progress: &Progress, ctrl_z: CtrlZ) -> Self {
+        let watched = if isatty(stdin()) { Watched::start(stop, progress, ctrl_z) } else { None };
         Self { watched, progress: progress.clone() }
     }
 
-    /// Watches the terminal if it has a screen.
+    /// Watches the terminal of a command that drives no Qube, if it has a screen.
     pub fn of_screen(stop: &Stop, progress: &Progress) -> Option<Self> {
-        progress.has_screen().then(|| Self::watch(stop, progress))
+        progress.has_screen().then(|| Self::watch(stop, progress, CtrlZ::Suspends))
     }
 
     /// A keyboard without a terminal.
@@ -69,17 +87,25 @@ impl Keyboard {
     }
 
     /// The sentence on keys that the operator needs before anything moves.
-    pub fn hint(&self) -> &'static str {
+    pub fn hint(&self) -> String {
         match self.watched {
-            Some(_) => "the space bar or Ctrl-C brakes the arm and keeps the state",
-            None => "Ctrl-C brakes the arm and keeps the state",
+            Some(_) if !terminal::is_foreground() => format!(
+                "neither the space bar nor Ctrl-C reaches this program, because it is in the \
+                 background: kill -INT {} brakes the arm and keeps the state",
+                std::process::id()
+            ),
+            Some(_) => "the space bar or Ctrl-C brakes the arm and keeps the state".to_owned(),
+            None => "Ctrl-C brakes the arm and keeps the state".to_owned(),
         }
     }
 
     /// Asks at a terminal whether the operator has looked at the Qube; returns whether the answer
-    /// is `a` or `A`. False without a terminal or after a stop request.
+    /// is `a` or `A`. False without a terminal, in its background, or after a stop request.
     pub fn acknowledges(&self, doubt: &Doubt, homing: HomingMethod, stop: &Stop) -> bool {
         let Some(Watched { shared, keys, .. }) = &self.watched else { return false };
+        if !terminal::is_foreground() {
+            return false;
+        }
         let middle = match homing {
             HomingMethod::Stops => "",
             HomingMethod::Hand => " Put the arm into its middle: its place then counts as that.",
@@ -106,14 +132,13 @@ impl Keyboard {
 }
 
 impl Watched {
-    fn start(stop: &Stop, progress: &Progress) -> Option<Self> {
-        let suspended = Arc::new(AtomicBool::new(false));
-        signal_hook::flag::register(SIGTSTP, Arc::clone(&suspended)).ok()?;
+    fn start(stop: &Stop, progress: &Progress, ctrl_z: CtrlZ) -> Option<Self> {
         let wake = eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK).ok()?;
         let shared = Arc::new(Shared {
             stop: Arc::clone(&stop.flag),
             asking: AtomicBool::new(false),
-            suspended,
+            ctrl_z,
+            suspension: Suspension::take_over(),
             ended: AtomicBool::new(false),
             wake,
             progress: progress.clone(),
@@ -148,31 +173,40 @@ impl Drop for Watched {
     }
 }
 
-fn read_keys(shared: &Shared, keys: &Sender<u8>) {
-    loop {
-        if shared.ended.load(Ordering::Relaxed) {
-            return;
+impl Shared {
+    fn request_stop(&self) {
+        if !self.stop.swap(true, Ordering::Relaxed) {
+            print_message(&format!("stopping: {}", self.progress.stop_effect()));
         }
-        if shared.suspended.swap(false, Ordering::Relaxed) {
-            terminal::restore();
-            // Stops here, and continues when the shell resumes the program.
-            let _ = signal_hook::low_level::emulate_default_handler(SIGTSTP);
+    }
+}
+
+fn read_keys(shared: &Shared, keys: &Sender<u8>) {
+    while !shared.ended.load(Ordering::Relaxed) {
+        if shared.suspension.take() {
+            match shared.ctrl_z {
+                CtrlZ::Stops => shared.request_stop(),
+                CtrlZ::Suspends => {
+                    terminal::restore();
+                    shared.suspension.suspend();
+                }
+            }
         }
         terminal::set_single_keys();
         terminal::resume_screen();
         if !terminal::wait_for_input(Some(shared.wake.as_fd())) {
             continue;
         }
-        if !terminal::is_foreground() {
-            std::thread::sleep(Duration::from_millis(100));
-            continue;
-        }
         let mut buffer = [0; 16];
-        let length = match terminal::read_input(&mut buffer) {
-            Ok(length @ 1..) => length,
-            Err(Errno::AGAIN | Errno::INTR) => continue,
-            // A closed terminal ends this thread; SIGHUP then stops the program.
-            Ok(0) | Err(_) => return,
+        let length = match terminal::is_foreground().then(|| terminal::read_input(&mut buffer)) {
+            Some(Ok(length @ 1..)) => length,
+            Some(Err(Errno::AGAIN | Errno::INTR)) => continue,
+            // In the background, at a Ctrl-D while a shell had the terminal, or after the terminal
+            // was closed, for which SIGHUP stops the program.
+            None | Some(Ok(0) | Err(_)) => {
+                std::thread::sleep(Duration::from_millis(100));
+                continue;
+            }
         };
         for &key in &buffer[..length] {
             if shared.asking.load(Ordering::Relaxed) {
@@ -183,8 +217,8 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
                 true => shared.progress.pressed(key),
                 false => key == b' ',
             };
-            if is_stop && !shared.stop.swap(true, Ordering::Relaxed) {
-                print_message(&format!("stopping: {}", shared.progress.stop_effect()));
+            if is_stop {
+                shared.request_stop();
             }
         }
     }

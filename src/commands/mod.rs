@@ -57,6 +57,7 @@ mod service_manager;
 mod session;
 mod soak;
 mod stop;
+mod suspension;
 mod terminal;
 mod toy;
 mod train;

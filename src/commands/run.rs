@@ -22,7 +22,7 @@ use super::emulated_arguments::EmulatedArguments;
 use super::estimator_arguments::EstimatorArguments;
 use super::exit::Failure;
 use super::guard_argument::{ConsentArgument, GuardArgument, guard_parser};
-use super::keyboard::Keyboard;
+use super::keyboard::{CtrlZ, Keyboard};
 use super::live::LiveArguments;
 use super::number_arguments::between;
 use super::output::Output;
@@ -157,10 +157,10 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let viewers = screen.viewer().into_iter().chain(live.viewer()).collect();
     screen.progress().update(|state| state.live = live.url());
     let settings = RigSettings { viewers, ..settings };
-    let keyboard = Keyboard::watch(&stop, &screen.progress());
+    let keyboard = Keyboard::watch(&stop, &screen.progress(), CtrlZ::with([&settings.device]));
     // The screen shows its own line of keys.
     if !screen.progress().has_screen() {
-        print_message(keyboard.hint());
+        print_message(&keyboard.hint());
     }
     for warning in before_motion(device.power_warning(), &settings, plan.safety_box.guard) {
         print_message(&format!("warning: {warning}"));

@@ -9,7 +9,7 @@ use super::command_hints::before_motion;
 use super::destination::OutputFolder;
 use super::device_arguments::DeviceArguments;
 use super::exit::Failure;
-use super::keyboard::Keyboard;
+use super::keyboard::{CtrlZ, Keyboard};
 use super::number_arguments::positive;
 use super::output::Output;
 use super::printable::print_message;
@@ -90,7 +90,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         Failure::usage(format!("--policy {}: {other}", arguments.policy.display()))
     })?;
     let folder = Folder::new(arguments.keep.clone())?;
-    let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
+    let keyboard =
+        Keyboard::watch(&stop, &Screen::none().progress(), CtrlZ::with([&device.choice]));
     let started = Instant::now();
     let mut soaked = Soaked::default();
     let mut ended = soaked.soak(&arguments, &policy.to_bytes(), &device, &folder, &stop);

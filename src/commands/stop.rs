@@ -40,7 +40,7 @@ impl Stop {
         let answered = Arc::clone(&answer);
         ctrlc::set_handler(move || {
             if interrupted.swap(true, Ordering::Relaxed) {
-                terminal::restore();
+                terminal::leave();
                 std::process::exit(128 + SIGINT);
             }
             // After SIGTERM or SIGHUP, a Ctrl-C does not change the exit code.
@@ -48,7 +48,12 @@ impl Stop {
                 interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
             }
             let answer = *answered.lock().unwrap_or_else(PoisonError::into_inner);
-            print_message(&format!("\n{answer} (Ctrl-C again ends the program at once)"));
+            // A terminal that is halted, or a full pipe, may take no text. The second Ctrl-C must
+            // be heard all the same.
+            let say = move || {
+                print_message(&format!("\n{answer} (Ctrl-C again ends the program at once)"));
+            };
+            let _ = std::thread::Builder::new().name("answer".into()).spawn(say);
         })
         .map_err(|error| handlers(error.to_string()))?;
         for kind in [SIGTERM, SIGHUP] {

@@ -23,6 +23,9 @@ static SETTINGS_BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
 /// The terminal of the screen; `None` without a screen.
 static SCREEN: Mutex<Option<ScreenTerminal>> = Mutex::new(None);
 
+/// Whether the program ends, so that the terminal stays as it was found.
+static LEFT: AtomicBool = AtomicBool::new(false);
+
 /// Whether the next frame must be drawn whole.
 static REDRAW: AtomicBool = AtomicBool::new(false);
 
@@ -48,7 +51,8 @@ struct ScreenTerminal {
 
 impl ScreenTerminal {
     fn show(&mut self) {
-        if !self.is_shown && self.terminal.write_all(ENTER).is_ok() {
+        if !self.is_shown && !LEFT.load(Ordering::Relaxed) && self.terminal.write_all(ENTER).is_ok()
+        {
             self.is_shown = true;
             REDRAW.store(true, Ordering::Relaxed);
         }
@@ -124,14 +128,23 @@ fn hide_screen() {
     }
 }
 
-/// Hides the screen and restores the terminal's settings. Exits that run no destructors call this
-/// function, too.
+/// Hides the screen and restores the terminal's settings. In the background the settings are those
+/// of the program in the foreground, and the system would stop a program that changes them.
 pub fn restore() {
     hide_screen();
     let mut saved = SETTINGS_BEFORE.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(before) = saved.take() {
+    if let Some(before) = saved.take()
+        && is_foreground()
+    {
         let _ = tcsetattr(stdin(), OptionalActions::Now, &before);
     }
+}
+
+/// Restores the terminal for good, before an exit that runs no destructors and leaves threads alive
+/// that would set it again.
+pub fn leave() {
+    LEFT.store(true, Ordering::Relaxed);
+    restore();
 }
 
 /// Sets the terminal to single keys without echo; does nothing in the background. Until
@@ -139,17 +152,21 @@ pub fn restore() {
 /// terminal.
 pub fn set_single_keys() {
     let mut saved = SETTINGS_BEFORE.lock().unwrap_or_else(PoisonError::into_inner);
-    if saved.is_some() || !is_foreground() {
+    if LEFT.load(Ordering::Relaxed) || !is_foreground() {
         return;
     }
-    let Ok(before) = tcgetattr(stdin()) else { return };
-    let mut single = before.clone();
+    let Ok(now) = tcgetattr(stdin()) else { return };
+    // A shell in between may have set its own modes.
+    if saved.is_some() && !now.local_modes.contains(LocalModes::ICANON) {
+        return;
+    }
+    let mut single = now.clone();
     single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
     single.special_codes[SpecialCodeIndex::VMIN] = 1;
     single.special_codes[SpecialCodeIndex::VTIME] = 0;
     single.special_codes[SpecialCodeIndex::VQUIT] = 0;
     if tcsetattr(stdin(), OptionalActions::Now, &single).is_ok() {
-        *saved = Some(before);
+        saved.get_or_insert(now);
     }
 }
 

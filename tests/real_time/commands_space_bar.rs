@@ -1,6 +1,7 @@
-//! Tests the space bar at a terminal: it brakes like Ctrl-C, and the terminal is restored on every
-//! way out. Keys that were typed ahead answer no question, and Ctrl-C ends one. A doubt of the
-//! first homing is asked about. The terminal is a real pty and the program's controlling terminal.
+//! Tests the space bar at a terminal: it brakes like Ctrl-C, as does Ctrl-Z on a real Qube, and the
+//! terminal is restored on every way out. Keys that were typed ahead answer no question, and Ctrl-C
+//! ends one. A doubt of the first homing is asked about. The terminal is a real pty and the
+//! program's controlling terminal.
 
 use std::io::Read;
 use std::os::fd::{AsFd, OwnedFd};
@@ -13,13 +14,15 @@ use qube_hil::device::emulator::{EmulatedQube, EmulatorSettings};
 use qube_hil::qube::State;
 use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
 use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt};
-use rustix::termios::{LocalModes, tcgetattr};
+use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
 
 use crate::busy_computer::in_real_time;
 use crate::program::{ServedQube, program};
 
 /// Time that suffices on any computer that is merely busy.
 const PATIENCE: Duration = Duration::from_secs(600);
+
+const CTRL_Z: u8 = 26;
 
 /// A terminal with the program in its foreground.
 struct Terminal {
@@ -181,22 +184,61 @@ fn the_first_ctrl_c_after_another_stop_lets_the_brake_end() {
 }
 
 #[test]
-fn a_terminal_is_given_back_by_ctrl_c_twice_sigterm_and_while_stopped() {
+fn ctrl_z_brakes_a_real_qube_and_suspends_nothing() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let _qube = ServedQube::start(directory.path(), 5, None);
+        let mut arguments = RUN.to_vec();
+        arguments.extend(["--device", "qube", "--skip-check"]);
+        let mut terminal = Terminal::start(directory.path(), &arguments);
+        terminal.wait_until("a rollout or its end", |it| {
+            under_way(directory.path()) || it.child.try_wait().unwrap().is_some()
+        });
+        terminal.press(&[CTRL_Z]);
+        assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
+        assert!(terminal.shown.contains("stopping: the arm is braked"), "{}", terminal.shown);
+        let path = directory.path().join("out/rollout-0.mcap");
+        let outcome = qube_hil::recording::read(&path).unwrap().outcome.unwrap();
+        assert_eq!(outcome.ending, qube_hil::telemetry::Ending::Stopped);
+    });
+}
+
+/// The program leads a session of its own here, as behind `ssh -t`, in a container or in a window
+/// of tmux. `commands_screen.rs` suspends it under a shell.
+#[test]
+fn ctrl_z_freezes_no_program_that_no_shell_could_continue() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let mut terminal = Terminal::start(directory.path(), &RUN);
         terminal.wait_for_text("space bar or Ctrl-C");
         terminal.wait_until("single keys", |it| !it.is_cooked());
-        // Ctrl-Z: the shell owns the terminal while the program is stopped.
-        let process = Pid::from_child(&terminal.child);
-        kill_process(process, Signal::TSTP).unwrap();
-        terminal.wait_until("it stops", |_| {
-            let options = WaitOptions::UNTRACED | WaitOptions::NOHANG;
-            waitpid(Some(process), options).unwrap().is_some_and(|(_, status)| status.stopped())
-        });
-        assert!(terminal.is_cooked());
-        kill_process(process, Signal::CONT).unwrap();
+        terminal.press(&[CTRL_Z]);
+        std::thread::sleep(Duration::from_secs(1));
         terminal.wait_until("single keys again", |it| !it.is_cooked());
+        let options = WaitOptions::UNTRACED | WaitOptions::NOHANG;
+        let process = Pid::from_child(&terminal.child);
+        assert!(waitpid(Some(process), options).unwrap().is_none(), "{}", terminal.shown);
+        terminal.press(b" ");
+        assert_eq!(terminal.exit_code(), Some(130), "{}", terminal.shown);
+        assert!(terminal.is_cooked());
+    });
+}
+
+#[test]
+fn a_terminal_is_given_back_by_ctrl_c_twice_and_by_sigterm() {
+    in_real_time(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let mut terminal = Terminal::start(directory.path(), &RUN);
+        terminal.wait_until("single keys", |it| !it.is_cooked());
+        // A shell may set its own modes while the program is stopped from outside.
+        let cooked = {
+            let mut modes = tcgetattr(&terminal.screen).unwrap();
+            modes.local_modes.insert(LocalModes::ICANON | LocalModes::ECHO);
+            modes
+        };
+        tcsetattr(&terminal.screen, OptionalActions::Now, &cooked).unwrap();
+        terminal.wait_until("single keys again", |it| !it.is_cooked());
+        let process = Pid::from_child(&terminal.child);
         kill_process(process, Signal::TERM).unwrap();
         assert_eq!(terminal.exit_code(), Some(143), "{}", terminal.shown);
         assert!(terminal.is_cooked());

@@ -15,7 +15,7 @@ use super::destination::OutputFile;
 use super::device_arguments::DeviceArguments;
 use super::exit::Failure;
 use super::failures;
-use super::keyboard::Keyboard;
+use super::keyboard::{CtrlZ, Keyboard};
 use super::output::Output;
 use super::printable::print_message;
 use super::question::ask_choice;
@@ -97,7 +97,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     // Signs that are found have a use only if they can be stored.
     let other_signs = if files.written.is_some() { OtherSigns::Adopt } else { OtherSigns::Fail };
     // The power test reads whole lines, so the single keys are read no longer than the check lasts.
-    let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
+    let keyboard =
+        Keyboard::watch(&stop, &Screen::none().progress(), CtrlZ::with([&device.choice]));
     let examined = rig.check(other_signs);
     drop(keyboard);
     let examination = examined.map_err(failed)?;

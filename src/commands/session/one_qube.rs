@@ -14,7 +14,7 @@ use super::several_rigs::resume_command;
 use crate::commands::destination::OutputFolder;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
-use crate::commands::keyboard::Keyboard;
+use crate::commands::keyboard::{CtrlZ, Keyboard};
 use crate::commands::output::Output;
 use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
@@ -59,10 +59,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let screen = arguments.screen.open(&title, output, &stop);
     screen.progress().update(|state| state.live = live.url());
     rig_settings.viewers = screen.viewer().into_iter().chain(live.viewer()).collect();
-    let keyboard = Keyboard::watch(&stop, &screen.progress());
+    let keyboard = Keyboard::watch(&stop, &screen.progress(), CtrlZ::with([&rig_settings.device]));
     // The screen shows its own line of keys.
     if !screen.progress().has_screen() {
-        print_message(keyboard.hint());
+        print_message(&keyboard.hint());
     }
     let emulated_qube =
         (!device.choice.is_hardware()).then(|| settings.emulated.name(settings.plant()));

@@ -17,7 +17,7 @@ use super::several_rigs::{emulated_of, new_folder, resume_command};
 use crate::commands::chosen_device::ChosenDevice;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
-use crate::commands::keyboard::Keyboard;
+use crate::commands::keyboard::{CtrlZ, Keyboard};
 use crate::commands::live::Live;
 use crate::commands::output::Output;
 use crate::commands::printable::print_message;
@@ -92,6 +92,7 @@ pub fn run(
             device.clock = resumed_clock(folder.paths(), &arguments.rigs, device);
         }
     }
+    let ctrl_z = CtrlZ::with(devices.iter().map(|device| &device.choice));
     let opened = open(arguments, &root, devices, sessions, consent, &resume);
     let (stop, mut rigs) = match opened {
         Ok(opened) => opened,
@@ -103,8 +104,8 @@ pub fn run(
         }
     };
 
-    let keyboard = Keyboard::watch(&stop, &Screen::none().progress());
-    print_message(keyboard.hint());
+    let keyboard = Keyboard::watch(&stop, &Screen::none().progress(), ctrl_z);
+    print_message(&keyboard.hint());
     print_message(&format!("sessions of {} Qubes in {}", rigs.len(), root.display()));
     service_manager::ready();
     let ended = run_side_by_side(rigs.iter_mut().map(|rig| {

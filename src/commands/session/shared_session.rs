@@ -12,7 +12,7 @@ use super::several_rigs::{emulated_of, new_folder, resume_command};
 use crate::commands::chosen_device::ChosenDevice;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
-use crate::commands::keyboard::Keyboard;
+use crate::commands::keyboard::{CtrlZ, Keyboard};
 use crate::commands::live::Live;
 use crate::commands::output::Output;
 use crate::commands::printable::print_message;
@@ -60,6 +60,7 @@ pub fn run(
     print_notes(arguments, &settings);
     let root = folder.paths().root().to_owned();
     let resume = resume_command(&root, &devices, &arguments.executor);
+    let ctrl_z = CtrlZ::with(devices.iter().map(|device| &device.choice));
     let stop = Stop::on_signals()?;
     let attached = opened(arguments, devices, &folder, &settings, consent, &stop)
         .and_then(|opened| Ok((opened, arguments.executor.executor(&root, &stop)?)));
@@ -71,8 +72,8 @@ pub fn run(
         }
     };
     let screen = Screen::none();
-    let keyboard = Keyboard::watch(&stop, &screen.progress());
-    print_message(keyboard.hint());
+    let keyboard = Keyboard::watch(&stop, &screen.progress(), ctrl_z);
+    print_message(&keyboard.hint());
     print_message(&format!("session of {} Qubes in {}", rigs.len(), root.display()));
 
     let failed = |error| failures::session(error, &stop, &resume);

@@ -1,0 +1,53 @@
+//! Ctrl-Z (SIGTSTP), which the keyboard takes so that the shell gets its terminal back.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use signal_hook::consts::SIGTSTP;
+
+/// Whether the signal has come since the last [`Suspension::take`].
+static ASKED: AtomicBool = AtomicBool::new(false);
+
+/// The signal is taken while this value lives; dropping it restores the system's own reaction.
+#[derive(Debug)]
+pub struct Suspension(());
+
+impl Suspension {
+    /// Takes the signal from now on.
+    pub fn take_over() -> Self {
+        ASKED.store(false, Ordering::Relaxed);
+        set_handler(note as extern "C" fn(libc::c_int) as libc::sighandler_t);
+        Self(())
+    }
+
+    /// Whether the signal has come since the last call.
+    pub fn take(&self) -> bool {
+        ASKED.swap(false, Ordering::Relaxed)
+    }
+
+    /// Suspends the program as the system does by itself, and returns when it is continued. Where
+    /// no shell could continue it, as in a terminal of its own, the system ignores the signal, and
+    /// this function returns at once. (`emulate_default_handler` of signal-hook suspends it there,
+    /// too.)
+    pub fn suspend(&self) {
+        set_handler(libc::SIG_DFL);
+        // SAFETY: `raise` has no precondition.
+        unsafe { libc::raise(SIGTSTP) };
+        set_handler(note as extern "C" fn(libc::c_int) as libc::sighandler_t);
+    }
+}
+
+impl Drop for Suspension {
+    fn drop(&mut self) {
+        set_handler(libc::SIG_DFL);
+    }
+}
+
+/// signal-hook cannot do this: it never restores the system's reaction.
+fn set_handler(handler: libc::sighandler_t) {
+    // SAFETY: the handler is the system's own, or `note`, which only stores to an atomic.
+    unsafe { libc::signal(SIGTSTP, handler) };
+}
+
+extern "C" fn note(_: libc::c_int) {
+    ASKED.store(true, Ordering::Relaxed);
+}
