@@ -101,11 +101,11 @@ pub enum CsvError {
 }
 
 /// Reads the samples of a table with a header line. The voltage of the last row may be empty,
-/// because no motion follows it; it is then 0 V.
+/// because no motion follows it; it is then 0 V. Times count from the first sample.
 ///
-/// Of a table of ticks, which has the column `phase` and one of [`APPLIED`], the rows are used that
-/// a recording gives: those with a sample, while the policy has the motor, with the voltage as the
-/// motor driver applies it. Where the table has the board's report too, the angles are those of
+/// Of a table of ticks, which has the column `phase`, the rows are used that a recording gives:
+/// those with a sample, which the columns of [`APPLIED`] tell, while the policy has the motor, with
+/// the voltage as the motor driver applies it. Where the table has the board's report too, the angles are those of
 /// the encoders and the times those of the device's clock, as in the motion of a recording.
 pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     // Some programs put a byte-order mark before the text.
@@ -127,9 +127,9 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
             Some(ticks) if !ticks.is_of_policy(&row)? => continue,
             _ => row.sample(&columns, lines.peek().is_none())?,
         };
+        let [.., voltage] = columns;
+        COMMANDED.check(&row, row.text(voltage), sample.voltage_v)?;
         if ticks.is_some() {
-            let [.., voltage] = columns;
-            COMMANDED.check(&row, row.text(voltage), sample.voltage_v)?;
             let commanded_mv = (1000.0 * sample.voltage_v).round() as i16;
             sample.voltage_v = volts(applied_voltage_mv(commanded_mv));
         }
@@ -153,6 +153,11 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     }
     if samples.len() < 2 {
         return Err(CsvError::TooFewRows { rows: samples.len() });
+    }
+    // A time since 1970 has no digits left for the microseconds by which a fit moves the delay.
+    let start_s = samples[0].time_s;
+    for sample in &mut samples {
+        sample.time_s -= start_s;
     }
     Ok(samples)
 }
@@ -302,7 +307,8 @@ impl VoltageColumn {
 /// The further columns of a table of ticks.
 struct TickColumns {
     phase: Column,
-    applied: (Column, VoltageColumn),
+    /// Column with the applied voltage, which is empty in a tick without a sample.
+    applied: Option<(Column, VoltageColumn)>,
     /// Columns with the board's report; `None` if one of them is missing.
     reported: Option<ReportColumns>,
 }
@@ -310,16 +316,16 @@ struct TickColumns {
 impl TickColumns {
     /// The columns in this header; `None` if it is not that of a table of ticks.
     fn of(header: &Header<'_>) -> Option<Self> {
-        let applied = APPLIED.into_iter().find_map(|it| Some((header.column(it.name)?, it)))?;
         let phase = header.column(column::PHASE)?;
+        let applied = APPLIED.into_iter().find_map(|it| Some((header.column(it.name)?, it)));
         Some(Self { phase, applied, reported: ReportColumns::of(header) })
     }
 
     /// Whether a row has a sample of a tick in which the policy has the motor.
     fn is_of_policy(&self, row: &Row<'_>) -> Result<bool, CsvError> {
         let phase = row.phase(self.phase)?;
-        let (column, voltage) = self.applied;
-        let has_sample = voltage.is_in(row, column)?;
+        let has_sample =
+            self.applied.map_or(Ok(true), |(column, voltage)| voltage.is_in(row, column))?;
         Ok(phase == Phase::Running && has_sample)
     }
 }
@@ -399,7 +405,7 @@ mod tests {
         let found: Vec<_> =
             samples.iter().map(|it| (it.time_s, it.state.theta, it.voltage_v)).collect();
         let applied_v = volts(applied_voltage_mv(100));
-        assert_eq!(found, [(0.01, 2.0, applied_v), (0.03, 3.0, applied_v)]);
+        assert_eq!(found, [(0.0, 2.0, applied_v), (0.03 - 0.01, 3.0, applied_v)]);
         assert!(applied_v != 0.1 && (applied_v - 0.1).abs() < 0.013, "{applied_v}");
     }
 
@@ -438,6 +444,35 @@ mod tests {
             let message = exported("applied_v", [row, without_sample]).unwrap_err().to_string();
             assert!(message.starts_with(expected), "{message}");
         }
+    }
+
+    #[test]
+    fn phases_count_without_applied_voltages_and_no_table_has_impossible_ones() {
+        let ticks = |first: &str| {
+            parse_csv(&format!(
+                "phase,{HEADER}settling,0.00,1,0,0,0,0.1\n{first}\n1,0.02,3,0,0,0,0.1\n"
+            ))
+        };
+        let thetas = |samples: &[MotionSample]| -> Vec<f64> {
+            samples.iter().map(|sample| sample.state.theta).collect()
+        };
+        assert_eq!(thetas(&ticks("1,0.01,2,0,0,0,0.1").unwrap()), [2.0, 3.0]);
+        let message = ticks("x,0.01,2,0,0,0,0.1").unwrap_err().to_string();
+        assert!(message.starts_with("line 3: `x` in column `phase` is no phase"), "{message}");
+        let message = parse("0,0,0,0,0,1\n0.1,0,0,0,0,40\n").unwrap_err().to_string();
+        assert!(
+            message.starts_with("line 3: `40` in column `voltage_v` is no voltage"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn times_since_1970_count_from_the_first_row() {
+        let at = |start_s: f64| {
+            let row = |time_s: f64| format!("{},0.5,0,0,0,1\n", start_s + time_s);
+            parse(&(row(0.0) + &row(0.25) + &row(0.5))).unwrap()
+        };
+        assert_eq!(at(1_700_000_000.0), at(0.0));
     }
 
     #[test]
