@@ -33,8 +33,8 @@ pub struct Recipe {
 struct RecipeFile {
     name: String,
     model: Model,
-    #[serde(default, rename = "settings")]
-    _settings: toml::Table,
+    #[serde(default)]
+    settings: toml::Table,
 }
 
 impl Recipe {
@@ -62,6 +62,14 @@ impl Recipe {
         let file: RecipeFile = toml::from_str(&text)
             .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
         check_name("name", &file.name).map_err(|refused| unreadable(refused.to_string()))?;
+        for key in ["name", "model", "seed", "emulated"] {
+            if file.settings.contains_key(key) {
+                let reason = format!(
+                    "settings.{key} has no effect in a recipe, because the experiment gives it: leave it out"
+                );
+                return Err(unreadable(reason));
+            }
+        }
         let settings = base.overridden_by_part(&text, Some("settings"), path)?;
         Ok(Self::new(file.name, file.model, settings))
     }
@@ -133,6 +141,11 @@ mod tests {
             (&*reward.replace("0.01", "nan"), "line 4: training.simulation.reward.voltage"),
             ("name = \"a\"\nmodel = \"nominal\"\n\n[settings]\nfamly = \"normal\"\n", "line 5,"),
             ("name = \"a\"\nmodel = \"nominl\"\n", "nominl"),
+            ("name = \"a\"\nmodel = \"nominal\"\n[settings]\nseed = 3\n", "settings.seed"),
+            (
+                "name = \"a\"\nmodel = \"nominal\"\n[settings.emulated.model.gap]\ncommand_delay_s = 0.03\n",
+                "settings.emulated",
+            ),
             ("name = \"a/b\"\nmodel = \"nominal\"\n", "a/b"),
             ("model = \"nominal\"\n", "name"),
             ("name = \"a\"\nmodel = \"nominal\"\n[settings]\nfamly = \"normal\"\n", "famly"),
