@@ -355,6 +355,9 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
         (Completeness::Recovered, None) => {
             Some("recovered; how the rollout ended is not known".to_owned())
         }
+        (Completeness::Recovered, Some(_)) if rerun.ending.is_none() => {
+            Some("recovered; its last ticks are missing".to_owned())
+        }
         (_, Some(outcome)) if rerun.ending != Some(outcome.ending) => {
             Some(format!("recorded ending {:?}, recomputed {:?}", outcome.ending, rerun.ending))
         }

@@ -258,6 +258,28 @@ fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
 }
 
 #[test]
+fn a_recovered_recording_without_its_last_ticks_is_called_that_and_no_other_ending() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = fs::read(recorded(folder.path())).unwrap();
+    let mut are_missing = 0;
+    // Some of these bytes lie in the last block of ticks, before the end of the recording.
+    let last_tenth = whole.len() / 10 * 9..whole.len();
+    for (number, place) in last_tenth.step_by(whole.len() / 500).enumerate() {
+        let mut bytes = whole.clone();
+        bytes[place] ^= 4;
+        let name = |what: &str| folder.path().join(format!("{what}-{number}.mcap"));
+        let (damaged, saved) = (name("damaged"), name("saved"));
+        fs::write(&damaged, &bytes).unwrap();
+        let [damaged, saved] = [&damaged, &saved].map(|path| path.to_str().unwrap());
+        qube_hil(&["recover", damaged, "--out", saved]);
+        let told = stderr(&qube_hil(&["replay", saved]));
+        assert!(!told.contains("recomputed"), "byte {place}: {told}");
+        are_missing += usize::from(told.contains("its last ticks are missing"));
+    }
+    assert!(are_missing > 0);
+}
+
+#[test]
 fn a_recording_with_a_long_gap_is_not_simulated_and_its_missing_ticks_are_told_too() {
     let folder = tempfile::tempdir().unwrap();
     let whole = qube_hil::recording::read(&recorded(folder.path())).unwrap();
