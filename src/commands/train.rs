@@ -56,7 +56,7 @@ pub struct Arguments {
 
     /// Standard deviation of each quantity around the profile, as a part of its value (0.1 is 10
     /// %), in addition to the errors that the profile names
-    #[arg(long, value_name = "PART", default_value_t = 0.1, requires = "profile", value_parser = spread)]
+    #[arg(long, value_name = "PART", default_value_t = 0.1, requires = "profile", conflicts_with_all = ["model", "psi"], value_parser = spread)]
     spread: f64,
 
     /// Delay of the simulated commands, or the range from which each trajectory draws its own

@@ -315,6 +315,24 @@ fn a_file_in_place_of_a_folder_is_refused_before_any_work() {
 }
 
 #[test]
+fn another_plant_is_not_called_qube() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("plants/furuta-130.toml");
+    let text = std::fs::read_to_string(path).unwrap();
+    let name = text.lines().find(|line| line.starts_with("name = ")).unwrap();
+    std::fs::write(directory.path().join("p.toml"), text.replace(name, "name = \"qube\"")).unwrap();
+    let run = ["run", "--plant", "p.toml", "--policy", "classical", "--clock", "virtual"];
+    refused(directory.path(), &run, 2, &["p.toml", "the name `qube`", "a name of its own"]);
+}
+
+#[test]
+fn a_spread_around_no_profile_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let train = ["train", "--model", "nominal", "--spread", "0.2", "--out", "p.safetensors"];
+    refused(directory.path(), &train, 2, &["--spread", "--model"]);
+}
+
+#[test]
 fn an_export_that_names_a_recording_twice_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let export = ["export", "one.mcap", "one.mcap"];
