@@ -105,8 +105,9 @@ pub enum CsvError {
 ///
 /// Of a table of ticks, which has the column `phase`, the rows are used that a recording gives:
 /// those with a sample, which the columns of [`APPLIED`] tell, while the policy has the motor, with
-/// the voltage as the motor driver applies it. Where the table has the board's report too, the angles are those of
-/// the encoders and the times those of the device's clock, as in the motion of a recording.
+/// the voltage as the motor driver applies it. Where the table has the board's report too, the
+/// angles are those of the encoders and the times those of the device's clock, as in the motion of
+/// a recording.
 pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     // Some programs put a byte-order mark before the text.
     let text = text.trim_start_matches('\u{feff}');
