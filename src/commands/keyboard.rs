@@ -183,7 +183,7 @@ impl Shared {
 
 fn read_keys(shared: &Shared, keys: &Sender<u8>) {
     while !shared.ended.load(Ordering::Relaxed) {
-        if shared.suspension.take() {
+        if shared.suspension.was_asked() {
             match shared.ctrl_z {
                 CtrlZ::Stops => shared.request_stop(),
                 CtrlZ::Suspends => {

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use signal_hook::consts::SIGTSTP;
 
-/// Whether the signal has come since the last [`Suspension::take`].
+/// Whether the signal has come since the last [`Suspension::was_asked`].
 static ASKED: AtomicBool = AtomicBool::new(false);
 
 /// The signal is taken while this value lives; dropping it restores the system's own reaction.
@@ -15,12 +15,12 @@ impl Suspension {
     /// Takes the signal from now on.
     pub fn take_over() -> Self {
         ASKED.store(false, Ordering::Relaxed);
-        set_handler(note as extern "C" fn(libc::c_int) as libc::sighandler_t);
+        take_signal();
         Self(())
     }
 
     /// Whether the signal has come since the last call.
-    pub fn take(&self) -> bool {
+    pub fn was_asked(&self) -> bool {
         ASKED.swap(false, Ordering::Relaxed)
     }
 
@@ -32,7 +32,7 @@ impl Suspension {
         set_handler(libc::SIG_DFL);
         // SAFETY: `raise` has no precondition.
         unsafe { libc::raise(SIGTSTP) };
-        set_handler(note as extern "C" fn(libc::c_int) as libc::sighandler_t);
+        take_signal();
     }
 }
 
@@ -40,6 +40,10 @@ impl Drop for Suspension {
     fn drop(&mut self) {
         set_handler(libc::SIG_DFL);
     }
+}
+
+fn take_signal() {
+    set_handler(note as extern "C" fn(libc::c_int) as libc::sighandler_t);
 }
 
 /// signal-hook cannot do this: it never restores the system's reaction.
