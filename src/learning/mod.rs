@@ -38,6 +38,7 @@ mod random;
 mod randomisation;
 mod settings;
 mod smoothness;
+mod staged;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -56,6 +57,7 @@ pub use evaluation::evaluate_on_new_starts;
 pub use physics_inputs::PhysicsInputs;
 pub use preset::Preset;
 pub use settings::TrainSettings;
+pub use staged::StagedTraining;
 pub use train::{train, train_from};
 pub use trained::{Origin, Trained, simulated_sensors};
 pub use trained_file::TrainedBytesError;

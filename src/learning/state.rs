@@ -13,7 +13,7 @@ const VALUE_GAIN: f64 = 1.0;
 
 /// The state of a training between two updates.
 pub(super) struct TrainingState<'a> {
-    pub distribution: &'a DomainDistribution,
+    pub distribution: DomainDistribution,
     pub settings: &'a TrainSettings,
     /// Inputs of the networks beside the observation: the Qube's physics.
     pub physics: Option<PhysicsInputs<'a>>,
@@ -31,7 +31,7 @@ pub(super) struct TrainingState<'a> {
 
 impl<'a> TrainingState<'a> {
     pub fn new(
-        distribution: &'a DomainDistribution,
+        distribution: &DomainDistribution,
         settings: &'a TrainSettings,
         physics: Option<PhysicsInputs<'a>>,
         seed: u64,
@@ -42,7 +42,7 @@ impl<'a> TrainingState<'a> {
         let policy = Network::orthogonal(size, &mut generator, POLICY_GAIN, settings.first_log_std);
         let value = Network::orthogonal(size, &mut generator, VALUE_GAIN, 0.0);
         Self {
-            distribution,
+            distribution: distribution.clone(),
             settings,
             physics,
             seed,

@@ -209,6 +209,21 @@ fn a_training_from_a_policy_begins_with_it_and_never_ends_below_it() {
 }
 
 #[test]
+fn stages_of_one_distribution_are_one_training() {
+    let never = AtomicBool::new(false);
+    let distribution = DomainDistribution::nominal();
+    let settings = TrainSettings { updates: 7, ..small() };
+    let whole = train(&distribution, &settings, 3, None, &never, |_| {}).unwrap();
+    let mut stages = StagedTraining::new(&settings, 3, 3).unwrap();
+    let mut stage = || stages.train_stage(distribution.clone(), &never).unwrap();
+    let (first, second, last) = (stage(), stage(), stage());
+    assert_eq!([&first, &second, &last].map(|it| it.curve.len()), [2, 4, 7]);
+    assert_eq!((&last.final_network, &last.curve), (&whole.final_network, &whole.curve));
+    // After the last stage nothing is left to train.
+    assert_eq!(stage().final_network, whole.final_network);
+}
+
+#[test]
 fn a_training_that_diverges_keeps_what_it_has_learnt_until_then() {
     let (distribution, settings) = (DomainDistribution::nominal(), small());
     let stop = AtomicBool::new(false);
@@ -218,7 +233,7 @@ fn a_training_that_diverges_keeps_what_it_has_learnt_until_then() {
     training.value.network.last[0] = f32::NAN;
     assert!(training.update(&stop).unwrap().is_none());
     assert_eq!(training.policy.network, policy);
-    let trained = training.into_trained().unwrap();
+    let trained = training.trained().unwrap();
     assert_eq!((trained.best_return, trained.curve.len()), (best_return, 1));
 
     let mut training = state::TrainingState::new(&distribution, &settings, None, 3);

@@ -69,10 +69,8 @@ pub fn train_from(
     let size = settings.simulation.observation_size();
     let start = imported(start, size, settings.smallest_log_std)?;
     let mut training = TrainingState::new(distribution, settings, None, seed);
-    training.policy.network = start.clone();
-    training.best = start;
-    let Scored { evaluation, score } = training.evaluate();
-    (training.best_score, training.best_return) = (score, evaluation.mean_return());
+    training.policy.network = start;
+    training.take_as_best();
     finished(training, None, stop, on_update)
 }
 
@@ -84,7 +82,7 @@ fn finished(
     on_update: impl FnMut(&TrainUpdate),
 ) -> Result<Trained, TrainError> {
     perform(&mut training, checkpointing, stop, on_update)?;
-    training.into_trained()
+    training.trained()
 }
 
 /// Performs the remaining updates of a training. After each update it calls `on_update` and writes
@@ -174,7 +172,7 @@ impl TrainingState<'_> {
         Collector {
             policy: &self.policy.network,
             value: &self.value.network,
-            distribution: self.distribution,
+            distribution: &self.distribution,
             settings: self.settings,
             physics: self.physics,
             seed: self.seed,
@@ -192,7 +190,7 @@ impl TrainingState<'_> {
         let mut smooth_return = 0.0;
         let evaluation = evaluate_with(
             &mut self.actor(starts),
-            self.distribution,
+            &self.distribution,
             &self.settings.simulation,
             EVALUATION_SEED,
             starts,
@@ -212,18 +210,32 @@ impl TrainingState<'_> {
         let mut physics_inputs = vec![0.0; self.physics.map_or(0, |physics| physics.count) * lanes];
         if let Some(physics) = &self.physics {
             for lane in 0..starts {
-                let drawn = Trajectory::draw(self.distribution, EVALUATION_SEED, lane as u64);
+                let drawn = Trajectory::draw(&self.distribution, EVALUATION_SEED, lane as u64);
                 physics.write(&drawn.model, lane, lanes, &mut physics_inputs);
             }
         }
         NetworkActor::with_physics(&self.policy.network, physics_inputs)
     }
 
-    /// The result of the training.
+    /// Goes on in another distribution. The best network is from now on the best in this one,
+    /// beginning with the policy as it is.
+    pub fn begin_stage(&mut self, distribution: DomainDistribution) {
+        self.distribution = distribution;
+        self.take_as_best();
+    }
+
+    /// Takes the policy as the best network, with its evaluation in the present distribution.
+    fn take_as_best(&mut self) {
+        let Scored { evaluation, score } = self.evaluate();
+        (self.best_score, self.best_return) = (score, evaluation.mean_return());
+        self.best = self.policy.network.clone();
+    }
+
+    /// The result of the training until now.
     ///
     /// # Errors
     /// The weights of the best or of the last network are not finite numbers.
-    pub fn into_trained(self) -> Result<Trained, TrainError> {
+    pub fn trained(&self) -> Result<Trained, TrainError> {
         Ok(Trained {
             network: exported(&self.best)?,
             best_return: self.best_return,
@@ -234,7 +246,7 @@ impl TrainingState<'_> {
             plant: self.settings.simulation.plant,
             voltage_change_weight: self.settings.voltage_change_weight,
             seed: self.seed,
-            curve: self.curve,
+            curve: self.curve.clone(),
         })
     }
 }

@@ -49,7 +49,7 @@ pub fn train_universal(
     let (best, last) = (training.best.clone(), training.policy.network.clone());
     training.best = at_fixed(&best, observation_size, &[]);
     training.policy.network = at_fixed(&last, observation_size, &[]);
-    let at_zero = training.into_trained()?;
+    let at_zero = training.trained()?;
     Ok(UniversalPolicy { best: Box::new(best), last: Box::new(last), observation_size, at_zero })
 }
 

@@ -6,10 +6,9 @@ use super::gaussian::standard_normal;
 use super::rival::{Data, Rival, RivalInput};
 use super::simulator::{Demonstration, simulate};
 use super::space::{Space, distribution_of};
-use super::stages::Stages;
 use super::stein::stein_step;
 use super::summary::{features, parts_of, statistics};
-use crate::learning::{TrainError, Trained};
+use crate::learning::{StagedTraining, TrainError, Trained};
 use crate::policy::Network;
 use crate::simulation::SimulationSettings;
 
@@ -54,11 +53,13 @@ impl Rival for ActiveRandomisation {
     fn trained(&self, given: &RivalInput) -> Result<Option<Trained>, TrainError> {
         let mut random = given.random();
         let mut particles = given.space.draws(PARTICLES, &mut random);
-        let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
+        let settings = given.training_on_one_thread();
+        let mut training = StagedTraining::new(&settings, STAGES, given.seed)?;
+        let mut trained = None;
         for stage in 0..STAGES {
             let Some(distribution) = distribution_of(given.space, &particles) else { break };
-            stages.train_stage(&distribution)?;
-            let Some(network) = stages.network() else { break };
+            let Trained { network, .. } =
+                trained.insert(training.train_stage(distribution, given.stop)?);
             if stage + 1 == STAGES {
                 break;
             }
@@ -95,7 +96,7 @@ impl Rival for ActiveRandomisation {
                     .collect();
             }
         }
-        Ok(stages.trained)
+        Ok(trained)
     }
 }
 

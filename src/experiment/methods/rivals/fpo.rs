@@ -4,10 +4,10 @@ use rand::RngExt as _;
 use super::belief::RivalBelief;
 use super::gaussian::standard_normal;
 use super::rival::{Data, POINTS, Rival, RivalInput};
+use super::scored::scored;
 use super::simulator::{Demonstration, simulate};
 use super::space::distribution_of;
-use super::stages::{Stages, scored};
-use crate::learning::{TrainError, Trained};
+use crate::learning::{StagedTraining, TrainError, Trained};
 use crate::policy::Network;
 use crate::search::{BayRn, BayRnSettings, Observation};
 
@@ -57,7 +57,8 @@ impl Rival for FingerprintOptimisation {
         let directions: Vec<DVector<f64>> =
             (0..3).map(|_| standard_normal(dimensions, &mut random)).collect();
         let scoring_points = given.space.draws(POINTS, &mut random);
-        let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
+        let settings = given.training_on_one_thread();
+        let mut training = StagedTraining::new(&settings, STAGES, given.seed)?;
         let mut data: Vec<Observation> = Vec::new();
         // The policy before the first stage has the fingerprint 0.
         let mut print = [0.0; FINGERPRINT];
@@ -86,8 +87,7 @@ impl Rival for FingerprintOptimisation {
                 .map(|point| given.space.clamped(&(psi[0].exp() * point + &shift)))
                 .collect();
             let Some(distribution) = distribution_of(given.space, &points) else { break };
-            stages.train_stage(&distribution)?;
-            let Some(trained) = &stages.trained else { break };
+            let trained = training.train_stage(distribution, given.stop)?;
             let network = &trained.network;
             let (_, scores) =
                 scored(network, given.training, given.space, &scoring_points, given.seed);
@@ -95,7 +95,7 @@ impl Rival for FingerprintOptimisation {
             data.push(Observation { point: [&psi[..], &print].concat(), returns: vec![return_] });
             print = fingerprint(network, given, &scoring_points[..32]);
             if best.as_ref().is_none_or(|(most, _)| return_ > *most) {
-                best = Some((return_, trained.clone()));
+                best = Some((return_, trained));
             }
         }
         Ok(best.map(|(_, trained)| trained))

@@ -1,9 +1,9 @@
 use super::belief::RivalBelief;
 use super::entropy_trade_off::{Independent, TradeOff};
 use super::rival::{Data, Rival, RivalInput};
+use super::scored::scored;
 use super::space::distribution_of;
-use super::stages::{Stages, scored};
-use crate::learning::TrainError;
+use crate::learning::{StagedTraining, TrainError};
 
 /// Number of stages of the training; after each, the distribution takes its steps.
 const STAGES: u32 = 6;
@@ -33,16 +33,16 @@ impl Rival for Lsdr {
     fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         let mut random = given.random();
         let mut own = Independent::narrowed(given.space.dimensions(), FIRST_WIDTH);
-        let mut stages = Stages::new(given.training, STAGES, given.seed, given.stop);
+        let settings = given.training_on_one_thread();
+        let mut training = StagedTraining::new(&settings, STAGES, given.seed)?;
         for stage in 0..u64::from(STAGES) {
             let points = own.draws(SAMPLES, &mut random);
             let Some(distribution) = distribution_of(given.space, &points) else { break };
-            stages.train_stage(&distribution)?;
-            let Some(network) = stages.network() else { break };
+            let network = training.train_stage(distribution, given.stop)?.network;
             for step in 0..STEPS {
                 let points = own.draws(SAMPLES, &mut random);
                 let seed = given.seed.wrapping_add(1 + stage * STEPS + step);
-                let (points, scores) = scored(network, given.training, given.space, &points, seed);
+                let (points, scores) = scored(&network, given.training, given.space, &points, seed);
                 own = own.ascended(&points, &scores, TRADE_OFF);
             }
         }

@@ -66,6 +66,11 @@ impl<'a> RivalInput<'a> {
         self.recorded.get(self.first_latest..).unwrap_or_default()
     }
 
+    /// Settings of a training on one thread, because other work of the experiment has the others.
+    pub fn training_on_one_thread(&self) -> TrainSettings {
+        TrainSettings { threads: 1, ..self.training.clone() }
+    }
+
     /// A generator of the random numbers of the method itself. Networks, optimisers and trainings
     /// that the method begins with `seed` draw others.
     pub fn random(&self) -> ChaCha8Rng {
