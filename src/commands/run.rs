@@ -30,7 +30,6 @@ use super::printable::print_message;
 use super::screen::ScreenArgument;
 use super::stop::Stop;
 use crate::policy::ExcitationShape;
-use crate::qube::Profile;
 use crate::rig::RigSettings;
 use crate::safety::SafetyBox;
 use crate::session::RolloutPlan;
@@ -141,7 +140,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
 
     let device = arguments.device.choose()?;
     controller.check_plant(&device.plant)?;
-    let profile = device.profile.as_ref().map(Profile::model);
+    let profile = device.profile.clone();
     let (settings, plan) = asked(&arguments, &device)?;
     let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
     let _lock = folder.lock()?;

@@ -1,5 +1,6 @@
 use std::fmt;
 
+use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 use super::fit::Fit;
@@ -7,7 +8,7 @@ use super::fitness::check_motion;
 use super::stretch::Stretch;
 use super::uncertainty::{Estimate, Evidence};
 use super::{Unfit, Unknown};
-use crate::qube::{Nonideality, Quantity, QubeModel, wrap_angle};
+use crate::qube::{Nonideality, Profile, Quantity, QubeModel, wrap_angle};
 use crate::recording::Recording;
 use crate::replay::MotionLog;
 use crate::telemetry::Phase;
@@ -71,15 +72,22 @@ pub struct Compared {
     pub standard_error: f64,
     /// Value in the profile.
     pub profile: f64,
-    /// Whether the change exceeds both the quantity's tolerance and three standard errors; `false`
-    /// if the rollouts do not determine the quantity.
+    /// Standard error of the profile's value, 0 where the profile names none. All quantities but
+    /// command delay and cable rest count as known, because today's estimate takes them from the
+    /// profile too.
+    pub profile_standard_error: f64,
+    /// Whether the change exceeds both the quantity's tolerance and three standard errors of the
+    /// change; `false` if the rollouts do not determine the quantity.
     pub moved: bool,
 }
 
 impl Compared {
-    fn new(today: f64, standard_error: f64, profile: f64, tolerance: f64) -> Self {
-        let allowed = tolerance.max(STANDARD_ERRORS * standard_error);
-        Self { today, standard_error, profile, moved: (today - profile).abs() > allowed }
+    /// Compares two values, each with its standard error.
+    fn new(today: [f64; 2], profile: [f64; 2], tolerance: f64) -> Self {
+        let ([today, standard_error], [profile, profile_standard_error]) = (today, profile);
+        let of_change = standard_error.hypot(profile_standard_error);
+        let moved = (today - profile).abs() > tolerance.max(STANDARD_ERRORS * of_change);
+        Self { today, standard_error, profile, profile_standard_error, moved }
     }
 }
 
@@ -89,11 +97,12 @@ impl Drift {
     ///
     /// # Errors
     /// None of the rollouts can be fitted.
-    pub fn of(recordings: &[Recording], profile: &QubeModel) -> Result<Self, Unfit> {
+    pub fn of(recordings: &[Recording], profile: &Profile) -> Result<Self, Unfit> {
         let motions: Vec<MotionLog> =
             recordings.iter().filter_map(MotionLog::of_recording).collect();
         let motions = usable_motions(&motions)?;
-        let [command_delay, cable_rest] = changing(&motions, profile);
+        let [command_delay, cable_rest] = changing(&motions, &profile.model());
+        let [delay_error_s, rest_error_rad] = conditional_errors(profile);
         let encoder = motions[0].plant.encoders.alpha;
         let alpha_tolerance_rad = ALPHA_TOLERANCE_COUNTS * encoder.rad_per_count();
         let hanging: Vec<f64> = recordings.iter().filter_map(hanging_rad).collect();
@@ -101,8 +110,8 @@ impl Drift {
             (!hanging.is_empty()).then(|| hanging.iter().sum::<f64>() / hanging.len() as f64);
         let nonidealities = &profile.nonidealities;
         let compared = |estimate: &Estimate, profile, tolerance| {
-            let mut compared =
-                Compared::new(estimate.value, estimate.standard_error, profile, tolerance);
+            let today = [estimate.value, estimate.standard_error];
+            let mut compared = Compared::new(today, profile, tolerance);
             // A cable without stiffness has no measurable rest angle.
             compared.moved &= estimate.is_determined();
             compared
@@ -110,12 +119,16 @@ impl Drift {
         Ok(Self {
             command_delay_s: compared(
                 &command_delay,
-                nonidealities.command_delay_s,
+                [nonidealities.command_delay_s, delay_error_s],
                 DELAY_TOLERANCE_S,
             ),
-            cable_rest_rad: compared(&cable_rest, nonidealities.cable_rest_rad, REST_TOLERANCE_RAD),
+            cable_rest_rad: compared(
+                &cable_rest,
+                [nonidealities.cable_rest_rad, rest_error_rad],
+                REST_TOLERANCE_RAD,
+            ),
             alpha_zero_rad: alpha_rad
-                .map(|today| Compared::new(today, 0.0, 0.0, alpha_tolerance_rad)),
+                .map(|today| Compared::new([today, 0.0], [0.0, 0.0], alpha_tolerance_rad)),
             rollouts: motions.len(),
         })
     }
@@ -191,6 +204,33 @@ fn changing(motions: &[&MotionLog], reference: &QubeModel) -> [Estimate; 2] {
     [found[0], found[1]]
 }
 
+/// Standard errors of the profile's values of the quantities in [`CHANGING`], with all other
+/// quantities known: from the Schur complement of the others in the covariance. Where the others'
+/// covariance cannot be inverted, the standard errors are those with the others unknown.
+fn conditional_errors(profile: &Profile) -> [f64; 2] {
+    let changing = CHANGING.map(|Unknown(quantity)| quantity);
+    let others: Vec<Quantity> = Quantity::all()
+        .filter(|it| !changing.contains(it) && profile.standard_error(*it) > 0.0)
+        .collect();
+    // In units of the standard errors, because those of different quantities differ by many powers
+    // of 10.
+    let scaled = |one: Quantity, other: Quantity| {
+        profile.covariance(one, other)
+            / (profile.standard_error(one) * profile.standard_error(other))
+    };
+    let size = others.len();
+    let correlations =
+        DMatrix::from_fn(size, size, |row, column| scaled(others[row], others[column]));
+    let inverse = correlations.cholesky();
+    changing.map(|quantity| {
+        let error = profile.standard_error(quantity);
+        let Some(inverse) = inverse.as_ref().filter(|_| error > 0.0) else { return error };
+        let shared = DVector::from_fn(size, |row, _| scaled(others[row], quantity));
+        let left = 1.0 - shared.dot(&inverse.solve(&shared));
+        if left > 0.0 { error * left.sqrt() } else { error }
+    })
+}
+
 /// Mean angle of the pendulum over the last ticks of settling, rad; `None` if there are too few.
 fn hanging_rad(recording: &Recording) -> Option<f64> {
     let settled: Vec<f64> = recording
@@ -201,4 +241,42 @@ fn hanging_rad(recording: &Recording) -> Option<f64> {
         .collect();
     let last = settled.get(settled.len().checked_sub(SETTLED_TICKS)?..)?;
     Some(last.iter().sum::<f64>() / SETTLED_TICKS as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::qube::{Correlations, DomainParameter};
+
+    const DELAY: Quantity = Quantity::Nonideality(Nonideality::CommandDelay);
+    const RESISTANCE: Quantity = Quantity::Parameter(DomainParameter::MotorResistance);
+
+    /// A profile whose errors of delay (1 ms) and resistance (0.5 ohm) have this correlation.
+    fn profile(correlation: f64) -> Profile {
+        let mut profile = Profile::exact("test", &QubeModel::NOMINAL);
+        profile.standard_errors.insert(DELAY.name().into(), 1e-3);
+        profile.standard_errors.insert(RESISTANCE.name().into(), 0.5);
+        let names = vec![DELAY.name().to_owned(), RESISTANCE.name().to_owned()];
+        let matrix = [vec![1.0, correlation], vec![correlation, 1.0]];
+        profile.correlations = Some(Correlations::new(names, &matrix));
+        profile
+    }
+
+    #[test]
+    fn the_error_of_a_profile_counts_as_far_as_the_other_quantities_leave_it() {
+        let [delay_s, rest_rad] = conditional_errors(&profile(0.8));
+        assert!((delay_s - 0.6e-3).abs() < 1e-12, "{delay_s}");
+        assert_eq!(rest_rad, 0.0);
+        assert_eq!(conditional_errors(&profile(0.0)), [1e-3, 0.0]);
+        assert_eq!(conditional_errors(&Profile::exact("test", &QubeModel::NOMINAL)), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_change_within_the_errors_of_both_values_is_no_move() {
+        let moved = |today_s: f64, profile_error_s: f64| {
+            Compared::new([today_s, 0.3e-3], [0.010, profile_error_s], DELAY_TOLERANCE_S).moved
+        };
+        assert!(moved(0.0129, 0.0) && !moved(0.0119, 0.0));
+        assert!(!moved(0.0129, 1e-3) && moved(0.0133, 1e-3));
+    }
 }

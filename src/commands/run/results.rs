@@ -9,7 +9,7 @@ use crate::commands::{
 };
 use crate::identification::{DRIFT_ROLLOUTS, Drift, Unfit, check_recording};
 use crate::jobs::starter::quoted;
-use crate::qube::QubeModel;
+use crate::qube::Profile;
 use crate::recording::{Recording, read};
 use crate::replay::MotionLog;
 use crate::scoring::{Latencies, Quietness, Verdict, VoidReason, score_recording};
@@ -162,7 +162,7 @@ impl RunResults {
 
     /// Estimates from the first rollouts, if there are any, how far the rig has drifted from its
     /// profile.
-    pub fn compare(&mut self, profile: &QubeModel) {
+    pub fn compare(&mut self, profile: &Profile) {
         if !self.first.is_empty() {
             self.drift = match Drift::of(&self.first, profile) {
                 Ok(drift) => DriftFromProfile::Estimated(drift),

@@ -18,7 +18,6 @@ use crate::commands::keyboard::{CtrlZ, Keyboard};
 use crate::commands::output::Output;
 use crate::commands::printable::print_message;
 use crate::commands::stop::Stop;
-use crate::qube::Profile;
 use crate::session::{Session, SessionEvent};
 
 /// Runs or resumes the session and prints its table.
@@ -78,7 +77,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
         .and_then(Session::on_the_same_boards)
         .map_err(failed)?
-        .with_profile(device.profile.as_ref().map(Profile::model));
+        .with_profile(device.profile.clone());
     if let Some(executor) = executor {
         session = session.trained_by(executor);
     }

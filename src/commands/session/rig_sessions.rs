@@ -26,7 +26,6 @@ use crate::commands::screen::Screen;
 use crate::commands::service_manager;
 use crate::commands::stop::Stop;
 use crate::jobs::{Executor, LocalExecutor};
-use crate::qube::Profile;
 use crate::rig::ClockChoice;
 use crate::safety::GuardConsent;
 use crate::session::{
@@ -293,7 +292,7 @@ fn open(
         let session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
             .and_then(Session::on_the_same_boards)
             .map_err(failed)?
-            .with_profile(device.profile.as_ref().map(Profile::model))
+            .with_profile(device.profile.clone())
             .trained_by(Arc::clone(&executor));
         rigs.push(Rig {
             number,

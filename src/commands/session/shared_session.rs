@@ -20,15 +20,15 @@ use crate::commands::rig_arguments::name_of;
 use crate::commands::screen::Screen;
 use crate::commands::stop::Stop;
 use crate::control::HomingSettings;
-use crate::qube::{Profile, QubeModel};
+use crate::qube::Profile;
 use crate::rig::RigSettings;
 use crate::safety::GuardConsent;
 use crate::session::{
     SeedFor, Session, SessionEvent, SessionFolder, SessionSettings, SharedRig, derived_seed,
 };
 
-/// The settings of a rig, and the model in its profile, if it has one.
-type RigWithProfile = (RigSettings, Option<QubeModel>);
+/// The settings of a rig, and its profile, if it has one.
+type RigWithProfile = (RigSettings, Option<Profile>);
 
 /// Runs or resumes the session and prints its table.
 pub fn run(
@@ -194,7 +194,7 @@ fn opened(
         for warning in warnings(&device, &rig_settings, &of_rig) {
             print_message(&format!("rig {number}: warning: {warning}"));
         }
-        rigs.push((rig_settings, device.profile.as_ref().map(Profile::model)));
+        rigs.push((rig_settings, device.profile.clone()));
         lives.push(live);
     }
     Ok((rigs, lives))

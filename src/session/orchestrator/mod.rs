@@ -29,7 +29,7 @@ use super::{
 };
 use crate::control::HomingMethod;
 use crate::jobs::{Executor, LocalExecutor};
-use crate::qube::QubeModel;
+use crate::qube::Profile;
 use crate::recording::{Recording, read_on};
 use crate::rig::{ClockChoice, Doubt, RigSettings};
 use crate::scoring::{Verdict, score};
@@ -143,21 +143,21 @@ impl Session {
         Ok(session)
     }
 
-    /// Names the model in the first rig's profile, if it has one. After the rig's first rollouts
-    /// the session reports the drift from this model.
+    /// Names the first rig's profile, if it has one. After the rig's first rollouts the session
+    /// reports the drift from this profile.
     #[must_use]
-    pub fn with_profile(mut self, profile: Option<QubeModel>) -> Self {
+    pub fn with_profile(mut self, profile: Option<Profile>) -> Self {
         self.rigs[0].profile = profile;
         self
     }
 
-    /// Spreads the rollouts of each candidate over these rigs too, each with the model of its
+    /// Spreads the rollouts of each candidate over these rigs too, each with its
     /// profile if there is one. The first rig remains the one with which the session was opened.
     /// The session must not identify its Qube, because an identification describes one Qube.
     #[must_use]
     pub fn spread_over(
         mut self,
-        others: impl IntoIterator<Item = (RigSettings, Option<QubeModel>)>,
+        others: impl IntoIterator<Item = (RigSettings, Option<Profile>)>,
     ) -> Self {
         self.rigs.extend(
             others.into_iter().map(|(settings, profile)| SessionRig::of(settings, profile)),

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use super::{Session, doubt_of};
 use crate::identification::{DRIFT_ROLLOUTS, Drift};
 use crate::policy::{EXCITATION_STEPS, Policy};
-use crate::qube::QubeModel;
+use crate::qube::Profile;
 use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, NotBegun, Rig, RigError, RigSettings};
 use crate::safety::Limit;
@@ -26,9 +26,8 @@ pub(super) struct SessionRig {
     pub(super) settings: RigSettings,
     /// The rig itself, opened on first use.
     pub(super) opened: Option<Rig>,
-    /// Model in the rig's profile; `None` without a profile and once the drift from it has been
-    /// reported.
-    pub(super) profile: Option<QubeModel>,
+    /// Profile of the rig; `None` without one and once the drift from it has been reported.
+    pub(super) profile: Option<Profile>,
     /// First recordings of this rig that this process entered into the ledger, until there are
     /// enough to estimate the drift.
     first_recordings: Vec<Recording>,
@@ -37,7 +36,7 @@ pub(super) struct SessionRig {
 }
 
 impl SessionRig {
-    pub(super) fn of(settings: RigSettings, profile: Option<QubeModel>) -> Self {
+    pub(super) fn of(settings: RigSettings, profile: Option<Profile>) -> Self {
         Self {
             settings,
             opened: None,
@@ -429,11 +428,14 @@ impl Session {
     ) {
         let rig = self.number_of(index);
         let its = &mut self.rigs[index];
-        let Some(profile) = its.profile else { return };
+        if its.profile.is_none() {
+            return;
+        }
         its.first_recordings.push(recording);
-        if its.first_recordings.len() == DRIFT_ROLLOUTS {
+        if its.first_recordings.len() == DRIFT_ROLLOUTS
+            && let Some(profile) = its.profile.take()
+        {
             let drift = Drift::of(&std::mem::take(&mut its.first_recordings), &profile);
-            its.profile = None;
             on_event(SessionEvent::Drift { rig, drift: &drift });
         }
     }
