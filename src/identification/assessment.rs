@@ -2,7 +2,7 @@ use std::fmt;
 
 use super::effects::{Effect, scores};
 use super::fit::Fit;
-use super::residuals::{Noise, Residual, noise_of_all, scale_of};
+use super::residuals::{Noise, Residual, noise_from_residuals, scale_of};
 use super::stretch::{Regime, Stretch};
 use super::{ResidualScale, Unknown};
 use crate::qube::{PlantModel, QubeModel};
@@ -200,7 +200,7 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> (Assessment, [No
     {
         doubts.push(MissingEffect::Unexplained);
     }
-    let noise = noise_of_all(&check.stretches, &residuals, encoders);
+    let noise = noise_from_residuals(&check.stretches, &residuals, encoders);
     let check = Fit { unknowns: fit.unknowns, ..check };
     doubts.extend(named(&check, 2.0 * samples, noise_ratio));
     let verdict = if !scale.is_within(UNFIT_RAD) {

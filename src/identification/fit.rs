@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, Matrix4, SVector};
 use super::Unknown;
 use super::change::changed;
 use super::offsets::{HomingOffset, Offset, Scatter, recordings};
-use super::residuals::{Noise, Residual, noise_of, robust_cost, robust_weight};
+use super::residuals::{Noise, Residual, robust_cost, robust_weight, updated_noise};
 use super::sensitivity::{STARTS, linearised};
 use super::stretch::{Regime, Stretch};
 use crate::qube::{Nonideality, PlantModel, QubeModel, State};
@@ -124,7 +124,8 @@ impl<'a> Fit<'a> {
         for _ in 0..SCALES {
             self.minimise();
             let residuals = self.residuals_rad();
-            self.noise = noise_of(&self.stretches, &residuals, &self.noise, self.plant.encoders);
+            self.noise =
+                updated_noise(&self.stretches, &residuals, &self.noise, self.plant.encoders);
             self.scatter = self.scatter.map(|scatter| self.scatter_of(scatter));
         }
     }
@@ -296,19 +297,23 @@ impl<'a> Fit<'a> {
         self.stretches.iter().zip(starts).zip(&self.recording).map(of).collect()
     }
 
-    pub(super) fn noise(&self, regime: Regime) -> &Noise {
+    fn noise(&self, regime: Regime) -> &Noise {
         &self.noise[regime as usize]
     }
 
-    /// The cost that a fit minimises: the robust costs of the stretches, and the squared distances
-    /// of unknowns and offsets from their priors, in standard deviations. NaN when the motion
-    /// diverges.
+    /// The cost that a fit minimises: the robust costs of the stretches and those of the priors. NaN
+    /// when the motion diverges.
     fn cost(&self, model: &QubeModel, starts: &[State], offsets: &[Offset]) -> f64 {
         let costs = side_by_side(&self.pieces(starts), |&(stretch, start, recording)| {
             let own = self.own(model, recording, offsets);
             robust_cost(self.noise(stretch.regime), &residuals(stretch, own, start))
         });
-        let prior_cost = |unknown: &Unknown| {
+        costs.iter().sum::<f64>() + self.prior_cost(model, offsets)
+    }
+
+    /// The squared distances of unknowns and offsets from their priors, in standard deviations.
+    pub(super) fn prior_cost(&self, model: &QubeModel, offsets: &[Offset]) -> f64 {
+        let unknown_cost = |unknown: &Unknown| {
             let prior = unknown.prior(self.plant);
             ((unknown.of(model) - prior.mean) / prior.std).powi(2)
         };
@@ -320,9 +325,7 @@ impl<'a> Fit<'a> {
             };
             self.homing_offsets().iter().map(one).sum::<f64>()
         };
-        costs.iter().sum::<f64>()
-            + self.unknowns.iter().map(prior_cost).sum::<f64>()
-            + self.scatter.map_or(0.0, offset_cost)
+        self.unknowns.iter().map(unknown_cost).sum::<f64>() + self.scatter.map_or(0.0, offset_cost)
     }
 
     fn blocks(&self) -> Vec<Block> {

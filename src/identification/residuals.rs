@@ -87,9 +87,9 @@ pub(super) fn mean_square(noise: &Noise, residuals: &[Residual]) -> f64 {
     residuals.iter().map(scaled).sum::<f64>() / (2.0 * residuals.len().max(1) as f64)
 }
 
-/// Estimates scale and correlation of each regime; a regime without stretches keeps those of
-/// `before`.
-pub(super) fn noise_of(
+/// Estimates scale and correlation of each regime, with weights of the stretches that follow from
+/// the noise `before`. A regime without stretches keeps that noise.
+pub(super) fn updated_noise(
     stretches: &[Stretch<'_>],
     residuals: &[Vec<Residual>],
     before: &[Noise; 3],
@@ -126,21 +126,21 @@ pub(super) fn noise_of(
     noise
 }
 
-/// Number of rounds in which [`noise_of_all`] estimates scales and the weights that depend on them
+/// Number of rounds in which [`noise_from_residuals`] estimates scales and the weights that depend on them
 /// in turn.
 const ROUNDS: usize = 4;
 
 /// Estimates scale and correlation of each regime from these residuals alone. A regime without
 /// stretches gets those of the quietest other one: nothing is known of its residuals, and a model
 /// that holds leaves residuals of about the encoders' rounding in every regime.
-pub(super) fn noise_of_all(
+pub(super) fn noise_from_residuals(
     stretches: &[Stretch<'_>],
     residuals: &[Vec<Residual>],
     encoders: Encoders,
 ) -> [Noise; 3] {
     let mut noise = [Noise { scale: scale_of(residuals), autocorrelation_samples: 1.0 }; 3];
     for _ in 0..ROUNDS {
-        noise = noise_of(stretches, residuals, &noise, encoders);
+        noise = updated_noise(stretches, residuals, &noise, encoders);
     }
     let is_seen = |regime: &Regime| stretches.iter().any(|stretch| stretch.regime == *regime);
     let size = |noise: &Noise| noise.scale.theta_rad * noise.scale.alpha_rad;
@@ -166,6 +166,10 @@ pub(super) fn scale_of(residuals: &[Vec<Residual>]) -> ResidualScale {
 
 /// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first r that is not
 /// above 0, averaged over both angles and all stretches.
+///
+/// The angles share it although the arm's residuals of a real Qube change more slowly than the
+/// pendulum's. With a time of each angle a fit gives up the angle that the model describes worse:
+/// its residuals grow, are correlated for longer, and so count for less.
 fn autocorrelation_samples(residuals: &[&Vec<Residual>]) -> f64 {
     let of_angle = |angle: usize| {
         let (mut total, mut weight) = (0.0, 0.0);
@@ -205,7 +209,7 @@ mod tests {
         let stretch = |regime| Stretch { regime, recording: &samples, first: 0, end: 4 };
         let residuals = |rad: f64| vec![[rad, -rad], [-rad, rad], [rad, -rad], [-rad, rad]];
         let encoders = PlantModel::QUBE.encoders;
-        let noise = noise_of_all(
+        let noise = noise_from_residuals(
             &[stretch(Regime::Swinging), stretch(Regime::Hanging)],
             &[residuals(0.02), residuals(0.004)],
             encoders,
@@ -214,7 +218,7 @@ mod tests {
         assert!((scale(Regime::Swinging).theta_rad - 0.02).abs() < 1e-12, "{noise:?}");
         assert!((scale(Regime::Hanging).alpha_rad - 0.004).abs() < 1e-12, "{noise:?}");
         assert_eq!(noise[Regime::Upright as usize], noise[Regime::Hanging as usize]);
-        assert_eq!(noise_of_all(&[], &[], encoders), [Noise::of_resolution(encoders); 3]);
+        assert_eq!(noise_from_residuals(&[], &[], encoders), [Noise::of_resolution(encoders); 3]);
     }
 
     #[test]
