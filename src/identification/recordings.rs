@@ -209,9 +209,12 @@ pub fn read_fittable(
     Ok(fittable)
 }
 
-/// Largest difference of an angle, rad, or a voltage, V, by which the writing of a table changes
-/// it.
-const WRITTEN_WITHIN: f64 = 1e-4;
+/// Largest difference of an angle by which the writing of a table changes it, rad.
+const ANGLE_WITHIN_RAD: f64 = 1e-4;
+
+/// Largest difference of a voltage between a recording and a table that was exported from it, V: a
+/// table without the applied voltage has the command, which the wire rounds to steps of 24 mV.
+const VOLTAGE_WITHIN_V: f64 = 0.025;
 
 /// Whether one of two motions is contained in the other: a copy, a table exported from it, or the
 /// saved part of a cut recording.
@@ -221,11 +224,10 @@ fn hold_same_motion(one: &MotionLog, other: &MotionLog) -> bool {
     } else {
         (&other.samples, &one.samples)
     };
-    let close = |one: f64, other: f64| (one - other).abs() <= WRITTEN_WITHIN;
     let same = |one: &MotionSample, other: &MotionSample| {
-        close(one.state.theta, other.state.theta)
-            && close(one.state.alpha, other.state.alpha)
-            && close(one.voltage_v, other.voltage_v)
+        (one.state.theta - other.state.theta).abs() <= ANGLE_WITHIN_RAD
+            && (one.state.alpha - other.state.alpha).abs() <= ANGLE_WITHIN_RAD
+            && (one.voltage_v - other.voltage_v).abs() <= VOLTAGE_WITHIN_V
     };
     let starts = 0..=long.len() - short.len();
     starts.into_iter().any(|start| short.iter().zip(&long[start..]).all(|(a, b)| same(a, b)))
@@ -278,6 +280,7 @@ pub fn duplicate<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Option<&'a
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::State;
 
     #[test]
     fn a_file_is_named_twice_even_by_another_path() {
@@ -290,6 +293,23 @@ mod tests {
         assert_eq!(duplicate([&file, &missing]), None);
         assert_eq!(duplicate([&file, &missing, &indirect]), Some(&indirect));
         assert_eq!(duplicate([&missing, &missing]), Some(&missing));
+    }
+
+    #[test]
+    fn a_table_with_commands_in_place_of_applied_voltages_holds_the_same_motion() {
+        let log = |voltage_of: fn(f64) -> f64, turned_rad: f64| {
+            let sample = |tick: u32| {
+                let time_s = f64::from(tick) * 0.01;
+                let state = State { theta: turned_rad * time_s, ..State::default() };
+                MotionSample { time_s, state, voltage_v: voltage_of(time_s.sin()) }
+            };
+            MotionLog { samples: (0..100).map(sample).collect(), plant: PlantModel::QUBE }
+        };
+        let command = |volts: f64| volts;
+        let applied = |volts: f64| (volts * 999.0 / 24.0).round() * 24.0 / 999.0;
+        assert!(hold_same_motion(&log(command, 0.5), &log(applied, 0.5)));
+        assert!(!hold_same_motion(&log(command, 0.5), &log(applied, 0.51)));
+        assert!(!hold_same_motion(&log(command, 0.5), &log(|volts| volts + 0.1, 0.5)));
     }
 
     #[test]
