@@ -292,8 +292,16 @@ fn leaves(key: &str, value: Value, found: &mut Vec<(String, Value)>) {
                 leaves(&key, value, found);
             }
         }
+        Value::Float(number) => found.push((key.to_owned(), Value::Float(as_written(number)))),
         value => found.push((key.to_owned(), value)),
     }
+}
+
+/// The number with the fewest digits that gives the same setting: a setting of single precision,
+/// such as 0.98, is 0.9800000190734863 as a double.
+fn as_written(number: f64) -> f64 {
+    let single = number as f32;
+    if f64::from(single) == number { single.to_string().parse().unwrap_or(number) } else { number }
 }
 
 /// The accepted values of the setting at a path, in words. The function tries extreme values and
@@ -407,6 +415,18 @@ mod tests {
             _ => line,
         });
         lines.collect::<Vec<_>>().join("\n")
+    }
+
+    #[test]
+    fn a_changed_setting_is_shown_with_the_digits_that_were_written() {
+        let defaults = of_a_session();
+        let mut settings = defaults.clone();
+        settings.training.discount = 0.98;
+        settings.emulated.command_jitter_s = 0.001_234_567_890_123;
+        let changed = settings.differences(&defaults).unwrap();
+        let shown: Vec<String> =
+            changed.iter().filter_map(|row| Some(row.value.as_ref()?.to_string())).collect();
+        assert_eq!(shown, ["0.001234567890123", "0.98"]);
     }
 
     #[test]
