@@ -8,7 +8,7 @@ use super::exit::Failure;
 use super::number_arguments::between;
 use crate::experiment::Plant;
 use crate::qube::PlantModel;
-use crate::session::PolicyPaths;
+use crate::session::{LARGEST_VARY, PolicyPaths};
 
 /// Name in an experiment's settings of the plant that is a real Qube.
 pub const REAL_QUBE: &str = "device";
@@ -21,7 +21,7 @@ pub struct PlantArguments {
 
     /// Draw each policy's own Qube: each parameter, the friction, the dead zones, the cable's
     /// stiffness and the delay are uniform between 1 - PART and 1 + PART times their values; 0 to
-    /// 0.5
+    /// 0.2
     #[arg(long, value_name = "PART", default_value_t = 0.0, value_parser = part, conflicts_with = "resume")]
     vary: f64,
 
@@ -113,7 +113,7 @@ fn check_name(name: &str) -> Result<(), String> {
 }
 
 fn part(text: &str) -> Result<f64, String> {
-    between(text, 0.0, 0.5)
+    between(text, 0.0, LARGEST_VARY)
 }
 
 #[cfg(test)]

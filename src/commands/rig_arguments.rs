@@ -10,7 +10,7 @@ use super::device_arguments::{QubeArguments, TimedPlantArguments, TreatmentArgum
 use super::exit::Failure;
 use super::number_arguments::between;
 use crate::rig::{ClockChoice, DeviceChoice};
-use crate::session::{QUBE_FILE, RigSessions};
+use crate::session::{LARGEST_VARY, QUBE_FILE, RigSessions};
 
 /// Default of `--vary`: each value of an emulated Qube differs by at most this fraction.
 const VARY: f64 = 0.05;
@@ -39,7 +39,7 @@ pub struct RigArguments {
 
     /// Difference between several emulated Qubes: each parameter, the friction, the dead zones, the
     /// cable's stiffness and the delay are uniform between 1 - FRACTION and 1 + FRACTION times
-    /// their values; 0 to 0.5 [default: 0.05]
+    /// their values; 0 to 0.2 [default: 0.05]
     #[arg(long, value_name = "FRACTION", value_parser = fraction, conflicts_with = "resume")]
     vary: Option<f64>,
 
@@ -60,7 +60,7 @@ pub enum RigPolicy {
 }
 
 fn fraction(text: &str) -> Result<f64, String> {
-    between(text, 0.0, 0.5)
+    between(text, 0.0, LARGEST_VARY)
 }
 
 impl RigArguments {

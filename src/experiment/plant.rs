@@ -20,13 +20,14 @@ pub struct Plant {
 
 impl Plant {
     /// The Qube of the policy with this number; policies of different recipes with the same number
-    /// share it. In a comparison of methods the number is the repetition's.
+    /// share it. In a comparison of methods the number is the repetition's. Plants with the same
+    /// `stream` are scaled by the same factors.
     #[must_use]
-    pub fn for_policy(&self, seed: u64, policy: u32) -> EmulatedQubeSettings {
+    pub fn for_policy(&self, seed: u64, policy: u32, stream: u32) -> EmulatedQubeSettings {
         if self.vary == 0.0 {
             return self.emulated;
         }
-        self.emulated.varied(self.vary, derived_seed(seed, SeedFor::Qube { policy }))
+        self.emulated.varied(self.vary, derived_seed(seed, SeedFor::Qube { policy, plant: stream }))
     }
 }
 
@@ -46,12 +47,13 @@ mod tests {
         let emulated =
             EmulatedQubeSettings { model, command_jitter_s: 0.001, ..Default::default() };
         let same = Plant { name: "lab".into(), emulated, vary: 0.0 };
-        assert_eq!(same.for_policy(1, 7), emulated);
+        assert_eq!(same.for_policy(1, 7, 0), emulated);
         let plant = Plant { vary: 0.1, ..same };
         let (mut lowest, mut highest) = (f64::INFINITY, 0.0_f64);
         for policy in 0..100 {
-            let drawn = plant.for_policy(3, policy);
-            assert_eq!(drawn, plant.for_policy(3, policy));
+            let drawn = plant.for_policy(3, policy, 0);
+            assert_eq!(drawn, plant.for_policy(3, policy, 0));
+            assert_ne!(drawn, plant.for_policy(3, policy, 1));
             assert_eq!(drawn.model.nonidealities.cable_rest_rad, -1.0);
             assert_eq!(drawn.command_jitter_s, 0.001);
             assert_eq!(drawn.model.parameters.check(), Ok(()));

@@ -164,7 +164,7 @@ impl PolicySeries<'_> {
         plant: &Plant,
         rollouts: u32,
     ) -> Result<Ran, ExperimentError> {
-        let emulated = plant.for_policy(self.seed, policy);
+        let emulated = plant.for_policy(self.seed, policy, 0);
         let rig = RigSettings { homing: self.recipe.settings.homing, ..self.rig.clone() };
         self.run(policy, plant, rollouts, |rollout, attempt, record| {
             let purpose = SeedFor::Emulator { candidate: policy, rollout, attempt };

@@ -6,6 +6,11 @@ use thiserror::Error;
 use crate::device::emulator::{EffectError, Effects, EmulatorSettings};
 use crate::qube::{DomainParameter, ModelError, PlantModel, Profile, QubeModel};
 
+/// Largest width with which the commands draw Qubes ([`EmulatedQubeSettings::varied`]). With 0.25
+/// and more, homing refuses some of the drawn Qubes. Experiments made by earlier versions of the
+/// program may have up to 0.5.
+pub const LARGEST_VARY: f64 = 0.2;
+
 /// The settings of the emulated Qube of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -73,7 +73,7 @@ mod view;
 pub use attempt::{AttemptId, RolloutAttempt};
 pub use configuration_error::ConfigurationError;
 pub use decision::{GainSource, SearchEnd, WORTHWHILE_GAIN};
-pub use emulated_qube::{EmulatedQubeError, EmulatedQubeSettings};
+pub use emulated_qube::{EmulatedQubeError, EmulatedQubeSettings, LARGEST_VARY};
 pub use entry::{Entry, Purpose};
 pub use error::SessionError;
 pub use event::SessionEvent;

@@ -43,6 +43,8 @@ pub enum SeedFor {
     Qube {
         /// Number of the policy.
         policy: u32,
+        /// Number of the plant around which the Qube is drawn.
+        plant: u32,
     },
     /// One of several repetitions on one of several plants.
     Repetition {
@@ -79,7 +81,7 @@ fn stream(purpose: SeedFor) -> u64 {
         SeedFor::Evaluation { candidate } => number(7, candidate, 0, 0),
         SeedFor::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
         SeedFor::Search => number(4, 0, 0, 0),
-        SeedFor::Qube { policy } => number(5, policy, 0, 0),
+        SeedFor::Qube { policy, plant } => number(5, policy, plant, 0),
         SeedFor::Repetition { plant, repetition } => number(6, repetition, plant, 0),
         SeedFor::RigSession { rig } => number(8, rig, 0, 0),
         SeedFor::RigQube { rig } => number(9, rig, 0, 0),
@@ -118,7 +120,8 @@ mod tests {
             for training in 0..3 {
                 purposes.push(SeedFor::Training { candidate, training });
             }
-            purposes.push(SeedFor::Qube { policy: candidate });
+            purposes.push(SeedFor::Qube { policy: candidate, plant: 0 });
+            purposes.push(SeedFor::Qube { policy: candidate, plant: 1 });
             for plant in 0..4 {
                 purposes.push(SeedFor::Repetition { plant, repetition: candidate });
             }

@@ -306,7 +306,7 @@ fn numbers_without_an_end_are_refused() {
 fn options_that_together_give_no_qube_begin_no_session() {
     let directory = tempfile::tempdir().unwrap();
     let pair = ["session", "--clock", "virtual", "--device", "emulated", "--device", "emulated"];
-    let far = ["--vary", "0.5", "--delay-ms", "100", "--out", "pair"];
+    let far = ["--vary", "0.2", "--delay-ms", "100", "--out", "pair"];
     let far = [&pair[..], &far].concat();
     refused(directory.path(), &far, 2, &["command_delay_s", "from 0 to 0.1"]);
     assert!(!directory.path().join("pair").exists(), "a session was begun all the same");

@@ -357,7 +357,7 @@ fn a_number_in_any_file_is_refused_by_file_key_value_and_range() {
     let of_nominal = format!("{head}model = \"nominal\"\n");
     for value in ["nan", "inf", "1e300", "-1e300"] {
         for (command, text, key, range) in [
-            (&plants, format!("{plant}vary = "), "vary", "from 0 to 0.5"),
+            (&plants, format!("{plant}vary = "), "vary", "from 0 to 0.2"),
             (&plants, format!("{plant}gap = "), "gap", "from 0 to 5"),
             (&plants, format!("{plant}[plants.effects]\nstribeck = "), "stribeck", "from 0 to 2"),
             (&plants, format!("{plant}[plants.scale]\nM_p = "), "scale.M_p", "from 0.1 to 10"),

@@ -55,14 +55,17 @@ impl Experiment {
         access: Access<'a>,
     ) -> MethodRun<'a> {
         let settings = self.settings();
-        let emulated = plant.for_policy(settings.seed, number);
         let of_each_plant = settings
             .methods
             .as_ref()
             .is_some_and(|methods| methods.seeds == RepetitionSeeds::OfEachPlant);
         let place = settings.plants.iter().position(|it| it.name == plant.name);
-        let place = place.filter(|_| of_each_plant).unwrap_or_default() as u32;
-        let purpose = SeedFor::Repetition { plant: place, repetition: number };
+        let place = place.filter(|_| of_each_plant).unwrap_or_default();
+        let purpose = SeedFor::Repetition { plant: place as u32, repetition: number };
+        // Counts only the plants that are drawn, so that a single one is drawn as before this
+        // number was counted.
+        let drawn_before = settings.plants[..place].iter().filter(|it| it.vary > 0.0).count();
+        let emulated = plant.for_policy(settings.seed, number, drawn_before as u32);
         MethodRun {
             experiment: self,
             name: name(method, number),
@@ -149,5 +152,33 @@ impl MethodRun<'_> {
         let trainings = settings.methods.as_ref().map_or(1, |it| it.trainings);
         let series = self.series(recommendation, steps, trainings);
         score(&series, &self.plant, settings.policies, settings.rollouts, self.access)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::methods::samples::experiment_on;
+    use crate::qube::DomainParameter;
+    use crate::session::EmulatedQubeSettings;
+
+    #[test]
+    fn plants_that_are_drawn_are_drawn_independently_of_each_other() {
+        let root = tempfile::tempdir().unwrap();
+        let plant = |name: &str, vary| Plant {
+            name: name.into(),
+            emulated: EmulatedQubeSettings::default(),
+            vary,
+        };
+        let plants = vec![plant("lab", 0.0), plant("first", 0.1), plant("second", 0.1)];
+        let experiment = experiment_on(root.path(), vec![Method::Robust], plants);
+        let drawn = |place: usize| {
+            let plant = &experiment.settings().plants[place];
+            let folder = root.path().join(&plant.name);
+            let run = experiment.method_run((Method::Robust, 3), plant, folder, Access::ReadOnly);
+            run.plant.emulated.model.parameters.get(DomainParameter::PendulumMass)
+        };
+        let [lab, first, second] = [0, 1, 2].map(drawn);
+        assert!(lab != first && first != second && lab != second, "{lab} {first} {second}");
     }
 }

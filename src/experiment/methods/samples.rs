@@ -14,8 +14,14 @@ use crate::simulation::Model;
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Phase, RolloutHeader, RolloutOutcome, TickRecord};
 
-/// A comparison of these methods at fixed budgets, in a new folder.
+/// A comparison of these methods at fixed budgets on `lab`, in a new folder.
 pub fn experiment(root: &Path, methods: Vec<Method>) -> Experiment {
+    let plant = Plant { name: "lab".into(), emulated: Default::default(), vary: 0.0 };
+    experiment_on(root, methods, vec![plant])
+}
+
+/// A comparison of these methods at fixed budgets on these plants, in a new folder.
+pub fn experiment_on(root: &Path, methods: Vec<Method>, plants: Vec<Plant>) -> Experiment {
     let methods = MethodSettings {
         methods,
         repetitions: 1,
@@ -32,7 +38,7 @@ pub fn experiment(root: &Path, methods: Vec<Method>) -> Experiment {
         rollouts: 1,
         simulated_starts: 1,
         guard_profile: None,
-        plants: vec![Plant { name: "lab".into(), emulated: Default::default(), vary: 0.0 }],
+        plants,
         recipes: vec![Recipe::of(Model::OptRobust, &SessionSettings::thesis())],
         methods: Some(methods),
     };
