@@ -1,4 +1,5 @@
 use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// The quartiles of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -31,17 +32,21 @@ pub fn quartiles(mut sample: Vec<f64>) -> Quartiles {
 pub struct MeanInterval {
     /// Mean of the sample.
     pub mean: f64,
-    /// Half width, 1.96 standard errors, a factor that suits samples of hundreds of repetitions.
+    /// Half width: the standard error times the quantile of Student's distribution that leaves
+    /// 2.5 % above it. Infinite for a sample of one value.
     pub half_width: f64,
 }
 
-/// Mean and 95 % confidence interval of a sample of at least two values.
+/// Mean and 95 % confidence interval of a sample.
 #[must_use]
 pub fn confidence_interval(sample: &[f64]) -> MeanInterval {
     let n = sample.len() as f64;
     let mean = sample.iter().sum::<f64>() / n;
     let squares: f64 = sample.iter().map(|x| (x - mean) * (x - mean)).sum();
-    MeanInterval { mean, half_width: 1.96 * (squares / (n - 1.0) / n).sqrt() }
+    let half_width = StudentsT::new(0.0, 1.0, n - 1.0).map_or(f64::INFINITY, |student| {
+        student.inverse_cdf(0.975) * (squares / (n - 1.0) / n).sqrt()
+    });
+    MeanInterval { mean, half_width }
 }
 
 #[cfg(test)]
@@ -56,6 +61,11 @@ mod tests {
         assert!(quartiles(vec![]).median.is_nan());
         let interval = confidence_interval(&[1.0, 3.0]);
         assert_eq!(interval.mean, 2.0);
-        assert!((interval.half_width - 1.96).abs() < 1e-12);
+        // Quantiles from a table of Student's distribution.
+        assert!((interval.half_width - 12.706).abs() < 1e-3, "{interval:?}");
+        let ten: Vec<f64> = (0..10).map(f64::from).collect();
+        let error = (82.5_f64 / 9.0 / 10.0).sqrt();
+        assert!((confidence_interval(&ten).half_width - 2.2622 * error).abs() < 1e-3);
+        assert_eq!(confidence_interval(&[1.0]).half_width, f64::INFINITY);
     }
 }
