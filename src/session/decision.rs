@@ -194,6 +194,7 @@ mod tests {
             void: 0,
             void_before: 0,
             policy_of: None,
+            identified_from: None,
         };
         let verdict = |&(return_, success): &(f64, bool)| Verdict::Result {
             return_,

@@ -101,7 +101,7 @@ pub use settings::{SessionSettings, SharedRig};
 pub use settings_list::{ChangedSetting, Setting};
 pub use state::{
     Candidate, EntryError, FailedRefit, Finished, Identification, SessionState, StoredProfile,
-    TakenOutRig,
+    TakenOutRig, VoidAttempt,
 };
 pub(crate) use toml_message::toml_message;
 pub use training_time::{TrainingTime, TrainingTimesError};

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use super::{
-    Candidate, Entry, Identification, Purpose, ScoredCandidate, SearchEnd, Session, SessionError,
+    Candidate, Identification, Purpose, ScoredCandidate, SearchEnd, Session, SessionError,
     TakenOutRig,
 };
 use crate::policy::{Policy, PolicyError};
@@ -67,12 +67,6 @@ impl BestPolicy {
     }
 }
 
-/// Number of rollouts of a session that a fault has ended, repeated or not.
-fn void_rollouts(session: &Session) -> u64 {
-    let entries = session.entries().iter();
-    entries.filter(|entry| matches!(entry, Entry::RolloutVoid { .. })).count() as u64
-}
-
 impl SessionReport {
     /// Reads the results of a session from its ledger and its recordings.
     ///
@@ -85,7 +79,7 @@ impl SessionReport {
         let mut report = Self {
             psi: session.settings().psi.clone(),
             latencies: Latencies::default(),
-            void_rollouts: void_rollouts(session),
+            void_rollouts: session.state().candidates().iter().map(Candidate::all_void).sum(),
             observer_resets: 0,
             directory: paths.root().to_owned(),
             identification: session.state().identification().clone(),

@@ -24,9 +24,19 @@ pub struct Candidate {
     /// Number of the searched candidate whose policy it runs again; `None` if it has a policy of
     /// its own, or if an older program proposed it.
     pub policy_of: Option<u32>,
+    /// Number of recordings of the latest profile when it was proposed; `None` if the Qube was not
+    /// identified then.
+    pub identified_from: Option<u32>,
 }
 
 impl Candidate {
+    /// Number of attempts that a fault ended, at all its rollouts.
+    #[must_use]
+    pub fn all_void(&self) -> u64 {
+        let repeated = self.finished.iter().map(|it| u64::from(it.attempt));
+        repeated.sum::<u64>() + u64::from(self.void)
+    }
+
     /// Whether this candidate runs the policy of `other` again, to verify it. A ledger of an older
     /// program does not name the other candidate, so there it is found by its point, which both
     /// share.
@@ -129,6 +139,15 @@ impl Identification {
         }
     }
 
+    /// The profiles in the order in which they were found; none if the Qube is not identified.
+    #[must_use]
+    pub fn profiles(&self) -> &[StoredProfile] {
+        match self {
+            Self::Found { profiles, .. } => profiles,
+            Self::None | Self::Refused(_) => &[],
+        }
+    }
+
     /// Largest number of recordings that a profile was fitted to, whether the fit succeeded or not;
     /// 0 if the Qube is not identified.
     #[must_use]
@@ -189,14 +208,37 @@ pub enum EntryError {
     RecordingsNotDue,
 }
 
+/// An attempt at a rollout that a fault ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VoidAttempt {
+    /// Numbers of its candidate, of the rollout and of the attempt.
+    pub attempt: AttemptId,
+    /// Number of the rig that made it, from 1; `None` if the session has a single rig.
+    pub rig: Option<u32>,
+}
+
+/// The end of the search around an identified Qube, as the ledger describes it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct RecordedEnd {
+    /// Gain in return that one more candidate was expected to bring.
+    expected_gain: f64,
+    /// Number of recordings of the latest profile at the end, if there was one.
+    profile: Option<u32>,
+}
+
 /// The state of a session: the result of applying the ledger's entries one after the other.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SessionState {
     entries: usize,
     candidates: Vec<Candidate>,
     identification: Identification,
-    gain_at_end: Option<f64>,
+    search_end: Option<RecordedEnd>,
     took_in_verification: bool,
+    /// Reason why the recordings of the verification left the profile as it was, if they did.
+    unchanged_by_verification: Option<String>,
+    /// Rollouts with a result since the latest profile was found, or since the beginning.
+    finished_since_profile: Vec<AttemptId>,
+    last_void: Option<VoidAttempt>,
     taken_out: Vec<TakenOutRig>,
 }
 
@@ -243,7 +285,21 @@ impl SessionState {
     /// identified Qube ended; `None` before its end and for other searches.
     #[must_use]
     pub fn gain_at_end(&self) -> Option<f64> {
-        self.gain_at_end
+        self.search_end.map(|end| end.expected_gain)
+    }
+
+    /// Number of recordings of the latest profile; `None` if the Qube is not identified.
+    #[must_use]
+    pub fn latest_profile(&self) -> Option<u32> {
+        self.identification.profiles().last().map(|profile| profile.recordings)
+    }
+
+    /// Number of recordings of the last profile that was found before the search ended, or so far
+    /// if it has not ended; `None` if there is none. The recordings of the verification did not
+    /// inform this profile.
+    #[must_use]
+    pub fn profile_before_end(&self) -> Option<u32> {
+        self.search_end.map_or_else(|| self.latest_profile(), |end| end.profile)
     }
 
     /// Whether the session has used the recordings of the verification: they have led to the last
@@ -251,6 +307,26 @@ impl SessionState {
     #[must_use]
     pub fn took_in_verification(&self) -> bool {
         self.took_in_verification
+    }
+
+    /// The reason why the recordings of the verification left the profile as it was; `None` if they
+    /// did not, or are not used yet.
+    #[must_use]
+    pub fn unchanged_by_verification(&self) -> Option<&str> {
+        self.unchanged_by_verification.as_deref()
+    }
+
+    /// The rollouts with a result since the latest profile was found, or since the beginning if the
+    /// Qube is not identified.
+    #[must_use]
+    pub fn finished_since_profile(&self) -> &[AttemptId] {
+        &self.finished_since_profile
+    }
+
+    /// The attempt that the last entry names as void; `None` if the last entry is another one.
+    #[must_use]
+    pub fn last_void(&self) -> Option<VoidAttempt> {
+        self.last_void
     }
 
     /// The rigs that were taken out, in the order of these events.
@@ -287,6 +363,7 @@ impl SessionState {
                     void: 0,
                     void_before: 0,
                     policy_of,
+                    identified_from: self.latest_profile(),
                 });
             }
             Entry::Trained { candidate } => {
@@ -297,9 +374,11 @@ impl SessionState {
                 candidate.trained = true;
             }
             Entry::RolloutFinished { candidate, rollout, attempt, rig } => {
-                let candidate = self.candidate_due(AttemptId { candidate, rollout, attempt })?;
+                let id = AttemptId { candidate, rollout, attempt };
+                let candidate = self.candidate_due(id)?;
                 candidate.finished.push(Finished { rollout, attempt, rig });
                 (candidate.void, candidate.void_before) = (0, 0);
+                self.finished_since_profile.push(id);
             }
             Entry::Identified { recordings, ref verdict, ref doubts, ref checksum } => {
                 let mut profiles = self.profiles_before(recordings)?.to_vec();
@@ -311,10 +390,11 @@ impl SessionState {
                     profiles,
                     failed_refit: None,
                 };
-                self.took_in_verification = self.gain_at_end.is_some();
+                self.took_in_verification = self.search_end.is_some();
+                self.finished_since_profile.clear();
             }
             Entry::NotUpdated { recordings: Some(recordings), ref reason } => {
-                let is_due = self.gain_at_end.is_none()
+                let is_due = self.search_end.is_none()
                     && recordings > self.identification.fitted_recordings();
                 match &mut self.identification {
                     Identification::Found { failed_refit, .. } if is_due => {
@@ -323,11 +403,12 @@ impl SessionState {
                     _ => return Err(EntryError::RecordingsNotDue),
                 }
             }
-            Entry::NotUpdated { recordings: None, .. } => {
-                if self.gain_at_end.is_none() || self.took_in_verification {
+            Entry::NotUpdated { recordings: None, ref reason } => {
+                if self.search_end.is_none() || self.took_in_verification {
                     return Err(EntryError::NoUpdateDue);
                 }
                 self.took_in_verification = true;
+                self.unchanged_by_verification = Some(reason.clone());
             }
             Entry::NotIdentified { ref reason } => {
                 if self.identification != Identification::None {
@@ -336,10 +417,11 @@ impl SessionState {
                 self.identification = Identification::Refused(reason.clone());
             }
             Entry::SearchEnded { expected_gain } => {
-                if self.gain_at_end.is_some() {
+                if self.search_end.is_some() {
                     return Err(EntryError::SearchEndedAlready);
                 }
-                self.gain_at_end = Some(expected_gain);
+                let profile = self.latest_profile();
+                self.search_end = Some(RecordedEnd { expected_gain, profile });
             }
             Entry::RolloutVoid { candidate, rollout, attempt, .. } => {
                 self.candidate_due(AttemptId { candidate, rollout, attempt })?.void += 1;
@@ -352,6 +434,12 @@ impl SessionState {
                 self.candidates.iter_mut().for_each(|it| it.void_before = it.void);
             }
         }
+        self.last_void = match *entry {
+            Entry::RolloutVoid { candidate, rollout, attempt, rig } => {
+                Some(VoidAttempt { attempt: AttemptId { candidate, rollout, attempt }, rig })
+            }
+            _ => None,
+        };
         self.entries += 1;
         Ok(())
     }
@@ -448,5 +536,56 @@ mod tests {
         assert!(known(&[&entries[..], &[failed(6)]].concat()).is_err());
         let refused = Entry::NotIdentified { reason: "it does not fit".into() };
         assert!(known(&[refused, failed(2)]).is_err() && known(&[failed(1)]).is_err());
+    }
+
+    #[test]
+    fn the_state_names_the_profile_of_each_proposal_and_of_the_end() {
+        let proposed = |candidate| Entry::Proposed {
+            candidate,
+            purpose: Purpose::Initial,
+            point: Vec::new(),
+            pending: Vec::new(),
+            policy_of: None,
+        };
+        let mut state = SessionState::of(&[proposed(0), identified(1, &[]), proposed(1)]).unwrap();
+        assert_eq!(state.profile_before_end(), Some(1));
+        let reason = "it does not fit".to_owned();
+        let kept = Entry::NotUpdated { recordings: None, reason: reason.clone() };
+        for entry in [identified(3, &[]), proposed(2), Entry::SearchEnded { expected_gain: 0.0 }] {
+            state.apply(&entry).unwrap();
+        }
+        let mut refused = state.clone();
+        refused.apply(&kept).unwrap();
+        assert_eq!(refused.unchanged_by_verification(), Some(reason.as_str()));
+        state.apply(&identified(5, &[])).unwrap();
+        assert_eq!(state.unchanged_by_verification(), None);
+        assert_eq!((state.profile_before_end(), state.latest_profile()), (Some(3), Some(5)));
+        let at_proposal: Vec<_> = state.candidates().iter().map(|it| it.identified_from).collect();
+        assert_eq!(at_proposal, [None, Some(1), Some(3)]);
+    }
+
+    #[test]
+    fn the_state_names_the_last_void_attempt_and_the_results_since_the_profile() {
+        let (candidate, rollout, rig) = (0, 0, Some(2));
+        let proposed = Entry::Proposed {
+            candidate,
+            purpose: Purpose::Initial,
+            point: Vec::new(),
+            pending: Vec::new(),
+            policy_of: None,
+        };
+        let void = Entry::RolloutVoid { candidate, rollout, attempt: 0, rig };
+        let mut state =
+            SessionState::of(&[proposed, Entry::Trained { candidate }, void.clone()]).unwrap();
+        let first = AttemptId { candidate, rollout, attempt: 0 };
+        assert_eq!(state.last_void(), Some(VoidAttempt { attempt: first, rig }));
+        // An entry that is refused changes nothing.
+        assert!(state.apply(&void).is_err() && state.last_void().is_some());
+        state.apply(&Entry::RolloutFinished { candidate, rollout, attempt: 1, rig }).unwrap();
+        assert_eq!(state.last_void(), None);
+        assert_eq!(state.candidates()[0].all_void(), 1);
+        assert_eq!(state.finished_since_profile(), [AttemptId { attempt: 1, ..first }]);
+        state.apply(&identified(1, &[])).unwrap();
+        assert!(state.finished_since_profile().is_empty());
     }
 }

@@ -247,6 +247,7 @@ mod tests {
             void: 0,
             void_before: 0,
             policy_of: None,
+            identified_from: None,
         };
         let informs = |policy: NetworkPolicy| {
             let policy = Policy::Network(policy).to_bytes();

@@ -202,6 +202,7 @@ mod tests {
     use crate::scoring::{Quietness, Verdict};
     use crate::session::{
         Candidate, Entry, IdentificationSettings, Purpose, ScoredRollout, SessionPaths,
+        SessionState,
     };
     use crate::storage::MachineDisk;
 
@@ -221,7 +222,8 @@ mod tests {
         std::fs::write(path, settings.to_toml().unwrap()).unwrap();
         let mut source = SessionSource::read(&MachineDisk, folder.path()).unwrap();
         let (verdict, doubts, checksum) = ("fits_but".into(), Vec::new(), String::new());
-        source.entries = vec![Entry::Identified { recordings: 1, verdict, doubts, checksum }];
+        let found = Entry::Identified { recordings: 1, verdict, doubts, checksum };
+        source.state = SessionState::of(&[found]).unwrap();
         source.profiles = vec![(1, Profile::lab())];
         let candidate = Candidate {
             number: 1,
@@ -232,6 +234,7 @@ mod tests {
             void: 0,
             void_before: 0,
             policy_of: None,
+            identified_from: None,
         };
         let outcome = crate::recording::samples::outcome();
         let rollout = ScoredRollout {

@@ -11,7 +11,7 @@ use crate::replay::simulate_from;
 use crate::report::chart::{Axis, Chart, Mark, Series, Style};
 use crate::report::densities::words;
 use crate::report::page::{Cell, Page};
-use crate::session::{Entry, FailedRefit, Identification, SessionPaths};
+use crate::session::{FailedRefit, Identification, SessionPaths};
 
 /// Adds the section about the identified Qube, with recordings beside simulations of this Qube, or
 /// the reason why it was not identified; adds nothing for a session without identification.
@@ -39,11 +39,7 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
                     "Doubt: a fit to {recordings} recordings gave no new profile: {reason}"
                 ));
             }
-            let unchanged = source.entries.iter().find_map(|entry| match entry {
-                Entry::NotUpdated { recordings: None, reason } => Some(reason),
-                _ => None,
-            });
-            if let Some(reason) = unchanged {
+            if let Some(reason) = source.state.unchanged_by_verification() {
                 page.paragraph(&format!("The verification left the profile as it was: {reason}."));
             }
             if let Some((_, profile)) = source.profiles.last() {

@@ -14,9 +14,9 @@ use crate::report::ReportError;
 use crate::report::rollout::RolloutView;
 use crate::scoring::{Latencies, Verdict, score_recording};
 use crate::session::{
-    AttemptId, BestPolicy, Candidate, Entry, FolderError, Identification, PolicyPaths, Purpose,
-    ScoredCandidate, ScoredRollout, SessionPaths, SessionSettings, SessionState, SessionView, Step,
-    TrainingTime, finished_rollout, identified_profile, next_step,
+    AttemptId, BestPolicy, Candidate, Entry, FolderError, PolicyPaths, Purpose, ScoredCandidate,
+    ScoredRollout, SessionPaths, SessionSettings, SessionState, SessionView, Step, TrainingTime,
+    finished_rollout, identified_profile, next_step,
 };
 use crate::storage::{Disk, SETTINGS_BYTES, checksum_of};
 
@@ -33,8 +33,6 @@ pub struct SessionSource {
     /// Reason why the file of the best verified policy cannot be run; `None` without a policy and
     /// where it can.
     pub(super) policy_lost: Option<String>,
-    /// Entries of the ledger.
-    pub(super) entries: Vec<Entry>,
     /// State that follows from the ledger's entries.
     pub(super) state: SessionState,
     /// Profiles that the session identified, each with its number of recordings, in order.
@@ -105,7 +103,6 @@ impl SessionSource {
             settings,
             settings_changed,
             policy_lost: None,
-            entries: view.entries().to_vec(),
             state: view.state().clone(),
             profiles: Vec::new(),
             candidates: Vec::new(),
@@ -120,12 +117,10 @@ impl SessionSource {
             fittable: 0,
             problems: Vec::new(),
         };
-        if let Identification::Found { profiles, .. } = source.state.identification() {
-            for found in profiles {
-                match identified_profile(disk, &paths, found) {
-                    Ok(profile) => source.profiles.push((found.recordings, profile)),
-                    Err(error) => source.problems.push(error.to_string()),
-                }
+        for found in source.state.identification().profiles() {
+            match identified_profile(disk, &paths, found) {
+                Ok(profile) => source.profiles.push((found.recordings, profile)),
+                Err(error) => source.problems.push(error.to_string()),
             }
         }
         for candidate in source.state.candidates().to_vec() {
@@ -261,12 +256,12 @@ impl SessionSource {
     /// the recordings of the verification did not inform this profile. `None` if there is none or
     /// it could not be read.
     pub(super) fn profile_before_end(&self) -> Option<&(u32, Profile)> {
-        let is_end = |entry: &Entry| matches!(entry, Entry::SearchEnded { .. });
-        let count =
-            self.entries.iter().take_while(|entry| !is_end(entry)).fold(None, |last, it| {
-                if let Entry::Identified { recordings, .. } = it { Some(*recordings) } else { last }
-            });
-        self.profiles.iter().find(|(of, _)| Some(*of) == count)
+        self.state.profile_before_end().and_then(|recordings| self.profile_of(recordings))
+    }
+
+    /// The profile that was fitted to this many recordings; `None` if it could not be read.
+    fn profile_of(&self, recordings: u32) -> Option<&(u32, Profile)> {
+        self.profiles.iter().find(|(of, _)| *of == recordings)
     }
 
     /// The candidates with the verdicts on their rollouts.
@@ -293,22 +288,14 @@ impl SessionSource {
     /// They vary the profile identified by then, or equal the session's settings if none was
     /// identified. `None` if this or the first profile cannot be read.
     pub(super) fn search_settings(&self, candidate: Option<u32>) -> Option<SessionSettings> {
-        let (mut first, mut known) = (None, None);
-        for entry in &self.entries {
-            match entry {
-                Entry::Identified { recordings, .. } => {
-                    first = first.or(Some(*recordings));
-                    known = Some(*recordings);
-                }
-                Entry::Proposed { candidate: proposed, .. } if Some(*proposed) == candidate => {
-                    break;
-                }
-                _ => {}
-            }
-        }
-        let (Some(first), Some(known)) = (first, known) else { return Some(self.settings.clone()) };
-        let profile = |number: u32| self.profiles.iter().find(|(of, _)| *of == number);
-        let ((_, first), (_, latest)) = profile(first).zip(profile(known))?;
+        let proposed = candidate.and_then(|it| self.state.candidates().get(it as usize));
+        let known = proposed.map_or(self.state.latest_profile(), |it| it.identified_from);
+        let profiles = self.state.identification().profiles();
+        let (Some(first), Some(known)) = (profiles.first(), known) else {
+            return Some(self.settings.clone());
+        };
+        let ((_, first), (_, latest)) =
+            self.profile_of(first.recordings).zip(self.profile_of(known))?;
         let plan = self.settings.identification.unwrap_or_default();
         Some(self.settings.clone().around(&plan, first, latest))
     }
@@ -391,12 +378,12 @@ mod tests {
             doubts: Vec::new(),
             checksum: String::new(),
         };
-        source.entries = vec![identified(1), identified(3)];
+        source.state = SessionState::of(&[identified(1), identified(3)]).unwrap();
         source.profiles = vec![(1, Profile::lab()), (3, Profile::lab())];
         assert_ne!(source.search_settings(None).unwrap(), source.settings);
         source.profiles.remove(0);
         assert_eq!(source.search_settings(None), None);
-        source.entries.clear();
+        source.state = SessionState::default();
         assert_eq!(source.search_settings(None).unwrap(), source.settings);
     }
 }

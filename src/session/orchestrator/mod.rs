@@ -25,7 +25,7 @@ use super::seeds::SeedFor;
 use super::{
     AttemptId, Candidate, Entry, Finished, FolderError, Ledger, LedgerError, ScoredCandidate,
     ScoredRollout, SessionError, SessionEvent, SessionFolder, SessionSettings, SessionState, Step,
-    finished_rollout, next_step,
+    VoidAttempt, finished_rollout, next_step,
 };
 use crate::control::HomingMethod;
 use crate::jobs::{Executor, LocalExecutor};
@@ -292,10 +292,8 @@ impl Session {
 
     /// Index of the rig whose error ended the last run, or whose void rollout the ledger ends with.
     fn rig_in_doubt(&self) -> usize {
-        let void = match self.ledger.entries().last() {
-            Some(Entry::RolloutVoid { rig, .. }) => rig.map(|rig| (rig as usize).saturating_sub(1)),
-            _ => None,
-        };
+        let void = self.ledger.state().last_void().and_then(|void| void.rig);
+        let void = void.map(|rig| (rig as usize).saturating_sub(1));
         // The ledger may be of a session of more rigs, which a run then refuses.
         self.ended_by.or(void).filter(|index| *index < self.rigs.len()).unwrap_or(0)
     }
@@ -307,12 +305,10 @@ impl Session {
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let Some(&Entry::RolloutVoid { candidate, rollout, attempt, rig }) =
-            self.ledger.entries().last()
-        else {
+        let Some(VoidAttempt { attempt, rig }) = self.ledger.state().last_void() else {
             return Ok(());
         };
-        let path = self.recording(AttemptId { candidate, rollout, attempt });
+        let path = self.recording(attempt);
         // Without the recording the fault is unknown here; the store of doubts on the computer that
         // drove the board still has it.
         let Some(recording) = read_on(self.folder.disk(), &path).ok() else { return Ok(()) };
@@ -320,6 +316,7 @@ impl Session {
         let index = rig.map_or(0, |rig| rig as usize - 1);
         let recovery = &mut self.rigs[index].settings.recovery;
         if !recovery.acknowledged {
+            let AttemptId { candidate, rollout, .. } = attempt;
             let in_doubt = SessionError::InDoubt { candidate, rollout, doubt: Box::new(doubt) };
             return self.take_out(index, in_doubt, on_event);
         }

@@ -259,17 +259,14 @@ impl Session {
     /// since the session found that profile. A rig that stays open remembers it; one that is opened
     /// anew must be told.
     pub(super) fn has_contradicted_profile(&self) -> bool {
-        if !matches!(self.ledger.state().identification(), Identification::Found { .. }) {
+        let state = self.ledger.state();
+        if !matches!(state.identification(), Identification::Found { .. }) {
             return false;
         }
-        let entries = self.ledger.entries().iter().rev();
-        let mut since = entries.take_while(|entry| !matches!(entry, Entry::Identified { .. }));
-        since.any(|entry| {
-            let Entry::RolloutFinished { candidate, rollout, attempt, .. } = *entry else {
-                return false;
-            };
-            let scored = self.scored.get(&AttemptId { candidate, rollout, attempt });
-            let Some(Verdict::Result { outcome, .. }) = scored.map(|it| &it.verdict) else {
+        state.finished_since_profile().iter().any(|attempt| {
+            let Some(Verdict::Result { outcome, .. }) =
+                self.scored.get(attempt).map(|it| &it.verdict)
+            else {
                 return false;
             };
             outcome.ending == Ending::LeftBox(Limit::Unpredicted)

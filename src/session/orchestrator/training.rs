@@ -418,6 +418,7 @@ mod tests {
             void: 0,
             void_before: 0,
             policy_of: None,
+            identified_from: None,
         }
     }
 
