@@ -15,9 +15,8 @@
 //! use qube_hil::device::emulator::EmulatorSettings;
 //! use qube_hil::learning::{Origin, TrainSettings, train};
 //! use qube_hil::recording;
-//! use qube_hil::rig::{Rig, RigSettings};
+//! use qube_hil::rig::{Rig, RigSettings, RolloutPlan};
 //! use qube_hil::scoring::return_of;
-//! use qube_hil::session::RolloutPlan;
 //! use qube_hil::simulation::DomainDistribution;
 //! use qube_hil::storage::MachineDisk;
 //!

@@ -24,8 +24,8 @@ use qube_hil::qube::{
     DomainParameter, MAX_HISTORY, Measurement, OBSERVATION_SIZE, PlantModel, Profile, QubeModel,
     State,
 };
+use qube_hil::rig::RolloutPlan;
 use qube_hil::safety::{ForesightSettings, IdentifiedQube, Limit, SafetyBox};
-use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, RolloutOutcome, TickSettings};
 
 thread_local! {

@@ -11,9 +11,8 @@ use std::time::Duration;
 
 use qube_hil::qube::{RewardWeights, State as QubeState};
 use qube_hil::recording::read;
-use qube_hil::rig::{ClockChoice, NotBegun, Recorded, Rig, RigError, RigSettings};
+use qube_hil::rig::{ClockChoice, NotBegun, Recorded, Rig, RigError, RigSettings, RolloutPlan};
 use qube_hil::scoring::return_of;
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Phase};
 

@@ -12,9 +12,8 @@ use crate::estimation::EstimatorSettings;
 use crate::jobs::starter::quoted;
 use crate::preflight::doctor::may_be_serial;
 use crate::qube::{MotorRating, PlantModel, Profile};
-use crate::rig::{ClockChoice, DeviceChoice, RigSettings};
+use crate::rig::{ClockChoice, DeviceChoice, QubeFile, RigSettings};
 use crate::safety::{GuardConsent, HardwareLimits, PlantConsent, SafetyBox};
-use crate::session::QubeFile;
 use crate::storage::checksum_of;
 
 /// Name of the embedded emulator in `--device`.

@@ -3,9 +3,8 @@
 
 use crate::identification::Drift;
 use crate::recording::{RecordingError, Unreadable};
-use crate::rig::RigSettings;
+use crate::rig::{PowerTest, PowerWarning, RigSettings, power_warning};
 use crate::safety::{Guard, HardwareRefusal, Limit};
-use crate::session::{PowerTest, PowerWarning, power_warning};
 use crate::telemetry::{CheckResult, Fault, Hint};
 
 /// The command that helps after a fault; `None` if there is none.

@@ -10,9 +10,8 @@ use super::printable::print_message;
 use super::profile;
 use crate::control::HomingMethod;
 use crate::qube::{PlantModel, Profile};
-use crate::rig::{ClockChoice, DeviceChoice, RigError};
+use crate::rig::{ClockChoice, DeviceChoice, QUBE_FILE, QubeFile, RigError};
 use crate::safety::PlantConsent;
-use crate::session::{QUBE_FILE, QubeFile};
 
 /// The arguments that select a Qube and a clock.
 #[derive(Clone, Debug, clap::Args)]

@@ -9,7 +9,8 @@ use super::number_arguments::between;
 use super::profile;
 use crate::device::emulator::Effects;
 use crate::qube::{DomainParameter, MAX_CABLE_DRIFT_RAD_PER_MIN, PlantModel, QubeModel};
-use crate::session::{EmulatedQubeSettings, QUBE_FILE};
+use crate::rig::QUBE_FILE;
+use crate::session::EmulatedQubeSettings;
 
 /// The arguments of the emulated Qube.
 #[derive(Clone, Debug, Default, clap::Args)]

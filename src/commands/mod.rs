@@ -75,10 +75,9 @@ use tracing_subscriber::EnvFilter;
 use output::Output;
 
 use crate::clock::RealtimeRefusals;
-use crate::rig::RigSettings;
+use crate::rig::{RigSettings, RolloutPlan};
 use crate::safety::{LARGEST_LOAD, WARNING_LOAD};
 use crate::scoring::{Latencies, Quietness};
-use crate::session::RolloutPlan;
 use crate::telemetry::LatencySummary;
 
 /// Hardware-in-the-loop for the Quanser Qube: train policies over a distribution of simulations,

@@ -9,8 +9,8 @@ use super::chosen_device::{ChosenDevice, EMULATED};
 use super::device_arguments::{QubeArguments, TimedPlantArguments, TreatmentArguments};
 use super::exit::Failure;
 use super::number_arguments::between;
-use crate::rig::{ClockChoice, DeviceChoice};
-use crate::session::{LARGEST_VARY, QUBE_FILE, RigSessions};
+use crate::rig::{ClockChoice, DeviceChoice, QUBE_FILE};
+use crate::session::{LARGEST_VARY, RigSessions};
 
 /// Default of `--vary`: each value of an emulated Qube differs by at most this fraction.
 const VARY: f64 = 0.05;

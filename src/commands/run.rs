@@ -30,9 +30,8 @@ use super::printable::print_message;
 use super::screen::ScreenArgument;
 use super::stop::Stop;
 use crate::policy::ExcitationShape;
-use crate::rig::RigSettings;
+use crate::rig::{RigSettings, RolloutPlan};
 use crate::safety::SafetyBox;
-use crate::session::RolloutPlan;
 
 /// Run a policy on the Qube and record it: homing, then for each rollout settling, six seconds of
 /// policy, braking; or excite the Qube for `identify`

@@ -21,10 +21,9 @@ use crate::device::emulator::EmulatorSettings;
 use crate::estimation::EstimatorSettings;
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::recording::{Recording, read};
-use crate::rig::{NotBegun, Rig};
+use crate::rig::{NotBegun, Rig, RolloutPlan};
 use crate::safety::SafetyBox;
 use crate::scoring::{Verdict, VoidReason, score_recording};
-use crate::session::RolloutPlan;
 use crate::storage::MachineDisk;
 use crate::telemetry::Ending;
 

@@ -19,7 +19,7 @@
 //! use qube_hil::device::{Device, SerialLink};
 //! use qube_hil::policy::{ClassicalController, ClassicalGains};
 //! use qube_hil::safety::SafetyBox;
-//! use qube_hil::session::RolloutPlan;
+//! use qube_hil::rig::RolloutPlan;
 //! use qube_hil::telemetry::{Ending, TickSettings};
 //!
 //! let clock = VirtualClock::default();

@@ -4,11 +4,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::ExperimentError;
 use super::folder::make;
 use crate::recording::{RecordingError, read};
-use crate::rig::Rig;
+use crate::rig::{Rig, RolloutPlan};
 use crate::scoring::{Behaviour, Quietness, Verdict, score_recording};
 use crate::session::{
-    PolicyPaths, RolloutAttempt, RolloutPlan, SessionError, check_origin, check_policy, put_aside,
-    recording_in,
+    PolicyPaths, RolloutAttempt, SessionError, check_origin, check_policy, put_aside, recording_in,
 };
 use crate::storage::{Disk, MachineDisk};
 use crate::telemetry::Ending;

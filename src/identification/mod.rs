@@ -22,8 +22,7 @@
 //! use qube_hil::qube::{DomainParameter, QubeModel};
 //! use qube_hil::recording::read;
 //! use qube_hil::replay::MotionLog;
-//! use qube_hil::rig::{DeviceChoice, Rig, RigSettings};
-//! use qube_hil::session::RolloutPlan;
+//! use qube_hil::rig::{DeviceChoice, Rig, RigSettings, RolloutPlan};
 //! use qube_hil::storage::MachineDisk;
 //!
 //! let mut model = QubeModel::NOMINAL;

@@ -25,8 +25,7 @@
 //!
 //! use qube_hil::policy::Controller;
 //! use qube_hil::qube::State;
-//! use qube_hil::rig::{DeviceChoice, Rig, RigSettings};
-//! use qube_hil::session::RolloutPlan;
+//! use qube_hil::rig::{DeviceChoice, Rig, RigSettings, RolloutPlan};
 //! use qube_hil::storage::MachineDisk;
 //! use qube_hil::telemetry::Ending;
 //!

@@ -13,6 +13,11 @@ pub const CONTROL_PERIOD_NS: u64 = 10_000_000;
 /// Steps in a complete rollout of 6 s.
 pub const MAX_STEPS: usize = 600;
 
+/// Largest angle of arm and pendulum at the start of a simulated trajectory, and of the arm at the
+/// start of a real rollout, rad. In training and in evaluation, a trajectory starts at rest, with
+/// both angles uniform between minus and plus this value. (The thesis does not state its starts.)
+pub const START_REACH_RAD: f64 = 0.1;
+
 /// Angle of a Qube's hard stop on either side, rad: about 137 degrees, as reported for a
 /// QUBE-Servo 3 (docs/hardware.md).
 pub const HARD_STOP_RAD: f64 = 2.39;

@@ -53,7 +53,9 @@ pub use encoder::{
 };
 pub use integrator::{SUBSTEPS, control_step, runge_kutta_4};
 pub use lanes::{BLOCK, InLanes, Lanes};
-pub use limits::{CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V};
+pub use limits::{
+    CONTROL_PERIOD_NS, CONTROL_PERIOD_S, HARD_STOP_RAD, MAX_STEPS, MAX_VOLTAGE_V, START_REACH_RAD,
+};
 pub use measurement::{Measurement, Status};
 pub use motor_driver::{applied_voltage_mv, volts};
 pub use motor_rating::MotorRating;

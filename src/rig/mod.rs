@@ -4,8 +4,8 @@
 //! The room may import `clock`, `device`, `control`, `preflight`, `estimation`, `safety`, `policy`,
 //! `qube`, `recording`, `telemetry` and `storage`. Sessions, experiments and the commands `run`
 //! and `soak` use it in the same way: [`RigSettings`] describe a rig, [`Rig::open`] opens it, and
-//! [`Rig::rollout`] records a rollout. The command `check` uses [`Rig::connect`] and
-//! [`Rig::check`].
+//! [`Rig::rollout`] records the rollout of a [`RolloutPlan`]. The command `check` uses
+//! [`Rig::connect`] and [`Rig::check`]. The properties of one Qube are in its [`QubeFile`].
 //!
 //! This example runs the classical controller on the emulated Qube, in virtual time, and replays
 //! the recording:
@@ -17,9 +17,8 @@
 //! use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 //! use qube_hil::recording::read;
 //! use qube_hil::replay::rerun;
-//! use qube_hil::rig::{DeviceChoice, Rig, RigSettings};
+//! use qube_hil::rig::{DeviceChoice, Rig, RigSettings, RolloutPlan};
 //! use qube_hil::scoring::score_recording;
-//! use qube_hil::session::RolloutPlan;
 //! use qube_hil::storage::MachineDisk;
 //!
 //! // Opens the emulated Qube and homes it.
@@ -42,20 +41,34 @@
 mod connection;
 mod doubt;
 mod error;
+mod file_date;
+mod library_watchdog;
 mod motor_memory;
 mod not_begun;
 mod opened;
+mod power_test;
 mod press;
+mod qube_file;
+mod qube_file_error;
 mod rollout;
+mod rollout_plan;
 mod settings;
+mod start_angle;
 
 pub use doubt::{Doubt, DoubtStore};
 pub use error::{RigError, RigSettingError};
+pub use library_watchdog::LibraryWatchdog;
 pub use motor_memory::MotorMemory;
 pub use not_begun::NotBegun;
 pub use opened::Rig;
+pub use power_test::{PowerTest, PowerWarning, UsbLost, power_warning};
 pub use press::Pressed;
+pub use qube_file::{QUBE_FILE, QubeFile, RigHoming, RigLimits, Signs};
+pub use qube_file_error::QubeFileError;
 pub use rollout::Recorded;
+pub use rollout_plan::RolloutPlan;
 pub use settings::{
     ClockChoice, Connect, DeviceChoice, LINK_PATIENCE_S, Recovery, RigSettings, TimedDevice,
 };
+#[cfg(test)]
+pub(crate) use start_angle::START_STREAMS;

@@ -5,7 +5,6 @@ use thiserror::Error;
 use super::retired::earlier_name;
 use super::toml_message::toml_message;
 use crate::qube::{key_of_message, line_of_key};
-use crate::storage::WriteError;
 
 /// An error in a configuration.
 #[derive(Debug, Error)]
@@ -39,9 +38,6 @@ pub enum ConfigurationError {
     /// The settings cannot be written as TOML.
     #[error("the configuration cannot be written: {0}")]
     Unwritable(#[from] toml::ser::Error),
-    /// The file could not be written.
-    #[error("the settings could not be written: {0}")]
-    NotWritten(WriteError),
 }
 
 impl ConfigurationError {

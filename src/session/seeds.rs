@@ -1,21 +1,13 @@
-//! Derives every random number of a session from the session's seed and the purpose of the draw,
-//! never from earlier draws. A resumed session therefore draws the same numbers.
+//! Derives the random numbers of a session from the session's seed and the purpose of the draw,
+//! never from earlier draws. A resumed session therefore draws the same numbers. So does the plan
+//! of a rollout, which derives the start angle of the arm.
 
 use rand::{RngExt as _, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::simulation::START_REACH_RAD;
-
 /// The purpose of a random stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SeedFor {
-    /// Start angle of the arm in a rollout of a candidate.
-    Start {
-        /// Number of the candidate.
-        candidate: u32,
-        /// Number of the rollout.
-        rollout: u32,
-    },
     /// Training of a candidate.
     Training {
         /// Number of the candidate.
@@ -67,7 +59,8 @@ pub enum SeedFor {
 
 /// The number of the random stream of a purpose: its kind in the highest 8 bits, then the candidate
 /// (24 bits) and the rollout or training and the attempt (the lowest 16 bits of each). A policy, a
-/// repetition or a rig takes the candidate's place, and a plant that of the rollout.
+/// repetition or a rig takes the candidate's place, and a plant that of the rollout. The start
+/// angles of rollouts have a kind of their own, 1 ([`crate::rig::RolloutPlan::seed`]).
 fn stream(purpose: SeedFor) -> u64 {
     let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
         kind << 56
@@ -76,7 +69,6 @@ fn stream(purpose: SeedFor) -> u64 {
             | u64::from(attempt & 0xffff)
     };
     match purpose {
-        SeedFor::Start { candidate, rollout } => number(1, candidate, rollout, 0),
         SeedFor::Training { candidate, training } => number(2, candidate, training, 0),
         SeedFor::Evaluation { candidate } => number(7, candidate, 0, 0),
         SeedFor::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
@@ -88,29 +80,18 @@ fn stream(purpose: SeedFor) -> u64 {
     }
 }
 
-fn random(session_seed: u64, purpose: SeedFor) -> ChaCha8Rng {
-    let mut random = ChaCha8Rng::seed_from_u64(session_seed);
-    random.set_stream(stream(purpose));
-    random
-}
-
 /// Derives a separate seed for a purpose.
 #[must_use]
 pub fn derived_seed(session_seed: u64, purpose: SeedFor) -> u64 {
-    random(session_seed, purpose).random()
-}
-
-/// The start angle of the arm in a rollout, rad: as far from the middle as in training, and the
-/// same for each attempt at the rollout.
-#[must_use]
-pub fn start_theta_rad(session_seed: u64, candidate: u32, rollout: u32) -> f64 {
-    random(session_seed, SeedFor::Start { candidate, rollout })
-        .random_range(-START_REACH_RAD..START_REACH_RAD)
+    let mut random = ChaCha8Rng::seed_from_u64(session_seed);
+    random.set_stream(stream(purpose));
+    random.random()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rig::START_STREAMS;
 
     #[test]
     fn purposes_do_not_share_a_stream() {
@@ -128,12 +109,12 @@ mod tests {
             purposes.push(SeedFor::RigSession { rig: candidate });
             purposes.push(SeedFor::RigQube { rig: candidate });
             for rollout in 0..4 {
-                purposes.push(SeedFor::Start { candidate, rollout });
                 for attempt in 0..4 {
                     purposes.push(SeedFor::Emulator { candidate, rollout, attempt });
                 }
             }
         }
+        assert!(purposes.iter().all(|&it| stream(it) >> 56 != START_STREAMS));
         let mut seeds: Vec<u64> = purposes.iter().map(|&it| derived_seed(7, it)).collect();
         seeds.sort_unstable();
         seeds.dedup();

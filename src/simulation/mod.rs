@@ -57,4 +57,4 @@ pub use psi_error::PsiError;
 pub use psi_space::PsiSpace;
 pub use setting_error::SimulationSettingError;
 pub use settings::{SensorModel, SimulationSettings};
-pub use trajectory::{START_REACH_RAD, Trajectory};
+pub use trajectory::Trajectory;

@@ -2,12 +2,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::DomainDistribution;
-use crate::qube::{QubeModel, State};
-
-/// Largest angle of arm and pendulum at the start of a trajectory, rad. In training and in
-/// evaluation, a trajectory starts at rest, with both angles uniform between minus and plus this
-/// value. (The thesis does not state its starts.)
-pub const START_REACH_RAD: f64 = 0.1;
+use crate::qube::{QubeModel, START_REACH_RAD, State};
 
 /// The random part of one trajectory: its Qube and its start.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -8,10 +8,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use qube_hil::control::HomingMethod;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::recording::read_on;
-use qube_hil::rig::{Rig, RigError};
+use qube_hil::rig::{Rig, RigError, RolloutPlan};
 use qube_hil::safety::SafetyBox;
 use qube_hil::scoring::{Verdict, VoidReason, score};
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::Disk;
 use qube_hil::telemetry::{Ending, Fault, Phase};
 

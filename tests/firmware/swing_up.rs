@@ -6,9 +6,8 @@ use std::sync::atomic::AtomicBool;
 
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Profile, QubeModel};
-use qube_hil::rig::{Rig, RigSettings};
+use qube_hil::rig::{Rig, RigSettings, RolloutPlan};
 use qube_hil::scoring::{Verdict, score};
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Fault;
 

@@ -13,8 +13,8 @@ use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Profile, QubeModel};
+use qube_hil::rig::RolloutPlan;
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
 use super::wire::SharedWire;

@@ -11,7 +11,7 @@ use qube_hil::control::{
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains};
 use qube_hil::qube::{CONTROL_PERIOD_NS, State};
-use qube_hil::session::RolloutPlan;
+use qube_hil::rig::RolloutPlan;
 use qube_hil::telemetry::{Ending, TickSettings};
 
 use super::case::{Case, Start};

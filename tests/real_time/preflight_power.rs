@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use qube_hil::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings, Finger};
 use qube_hil::qube::State;
-use qube_hil::session::{PowerWarning, QubeFile, UsbLost, power_warning};
+use qube_hil::rig::{PowerWarning, QubeFile, UsbLost, power_warning};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 

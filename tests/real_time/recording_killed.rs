@@ -11,8 +11,8 @@ use qube_hil::clock::{Clock, MonotonicClock};
 use qube_hil::estimation::Calibration;
 use qube_hil::qube::{CONTROL_PERIOD_NS, Measurement, RewardWeights};
 use qube_hil::recording::{Completeness, FORMAT_VERSION, Recorder, read};
+use qube_hil::rig::RolloutPlan;
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{RolloutHeader, TickRecord, TickSettings};
 

@@ -14,10 +14,9 @@ use qube_hil::preflight::OtherSigns;
 use qube_hil::qube::CONTROL_PERIOD_NS;
 use qube_hil::recording::read;
 use qube_hil::replay::rerun;
-use qube_hil::rig::{Rig, RigSettings};
+use qube_hil::rig::{Rig, RigSettings, RolloutPlan};
 use qube_hil::safety::SafetyBox;
 use qube_hil::scoring::{Verdict, score};
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::MeasuredLink;
 

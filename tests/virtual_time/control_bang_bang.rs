@@ -16,8 +16,8 @@ use qube_hil::qube::{
     CONTROL_PERIOD_NS, CONTROL_PERIOD_S, DomainParameter, HARD_STOP_RAD, MAX_VOLTAGE_V, Profile,
     QubeModel, State,
 };
+use qube_hil::rig::RolloutPlan;
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

@@ -10,8 +10,8 @@ use qube_hil::device::emulator::{Effects, EmulatorSettings};
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use qube_hil::qube::{Profile, State};
+use qube_hil::rig::RolloutPlan;
 use qube_hil::safety::Limit;
-use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, TickSettings};
 
 /// An untrained policy, different for each seed.

@@ -10,8 +10,8 @@ use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use qube_hil::qube::{Profile, QubeModel, State};
+use qube_hil::rig::RolloutPlan;
 use qube_hil::safety::{LARGEST_LOAD, Limit, MotorHeat, WARNING_LOAD};
-use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, RolloutOutcome, TickSettings};
 
 /// An emulated Qube after homing, with its motor's heat.

@@ -10,8 +10,8 @@ use qube_hil::device::{Device, DeviceError, Identity, InProcessWire, LinkFault, 
 use qube_hil::estimation::Calibration;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Measurement, State};
+use qube_hil::rig::RolloutPlan;
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
 /// The fate of a sample on its way from the device to the tick.

@@ -7,8 +7,8 @@ use qube_hil::control::{Homing, HomingSettings, Tick, drive};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains};
+use qube_hil::rig::RolloutPlan;
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::RolloutPlan;
 use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 
 /// A rollout of the classical controller on the nominal Qube, in the box alone.

@@ -13,10 +13,11 @@ use qube_hil::estimation::{Calibration, EstimatorSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::{Examination, ExaminationSettings, OtherSigns, examine};
 use qube_hil::recording::read;
-use qube_hil::rig::{Doubt, DoubtStore, Recovery, Rig, RigError, RigSettings};
+use qube_hil::rig::{
+    Doubt, DoubtStore, QubeFile, Recovery, Rig, RigError, RigSettings, RolloutPlan,
+};
 use qube_hil::safety::{MotorHeat, SafetyBox};
 use qube_hil::scoring::{Verdict, score};
-use qube_hil::session::{QubeFile, RolloutPlan};
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{CheckVerdict, Ending, Fault, Phase, Preflight};
 

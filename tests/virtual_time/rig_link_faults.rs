@@ -12,10 +12,9 @@ use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, InProcessWire, LinkFault, SerialLink, Transport};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::OtherSigns;
-use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
+use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice};
 use qube_hil::safety::SafetyBox;
 use qube_hil::scoring::{Verdict, VoidReason, score};
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Fault;
 

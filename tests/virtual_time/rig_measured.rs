@@ -15,9 +15,8 @@ use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{HARD_STOP_RAD, Measurement, Nonidealities, Profile, QubeModel, State};
 use qube_hil::recording::{Recording, read};
-use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
+use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice};
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Fault, Phase};
 

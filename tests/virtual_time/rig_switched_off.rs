@@ -14,9 +14,8 @@ use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::applied_voltage_mv;
 use qube_hil::recording;
 use qube_hil::replay::rerun;
-use qube_hil::rig::{DeviceChoice, DoubtStore, Recovery, Rig, RigError, RigSettings};
+use qube_hil::rig::{DeviceChoice, DoubtStore, Recovery, Rig, RigError, RigSettings, RolloutPlan};
 use qube_hil::safety::SafetyBox;
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::{Ending, Fault, MotorState, TickRecord};
 

@@ -6,9 +6,8 @@ use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{DomainParameter, Profile};
 use qube_hil::recording::read;
 use qube_hil::replay::{controller_of, rerun};
-use qube_hil::rig::{Rig, RigSettings};
+use qube_hil::rig::{Rig, RigSettings, RolloutPlan};
 use qube_hil::safety::{Contradiction, Limit};
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Ending;
 

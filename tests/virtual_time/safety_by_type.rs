@@ -11,11 +11,10 @@ use qube_hil::device::{
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Measurement, PlantModel, Profile, QubeModel};
 use qube_hil::recording::{parse, read};
-use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, TimedDevice};
+use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice};
 use qube_hil::safety::{
     Guard, GuardConsent, HardwareLimits, HardwareRefusal, IdentifiedQube, SafetyBox,
 };
-use qube_hil::session::RolloutPlan;
 use qube_hil::storage::MachineDisk;
 
 /// A Qube that does not declare whether it is hardware.

@@ -26,8 +26,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::device::stable_port_name;
 use crate::estimation::EstimatorSettings;
 use crate::preflight::{Examination, OtherSigns};
-use crate::rig::{Rig, RigSettings};
-use crate::session::{LibraryWatchdog, QUBE_FILE, QubeFile};
+use crate::rig::{LibraryWatchdog, QUBE_FILE, QubeFile, Rig, RigSettings};
 use crate::storage::Existing;
 use crate::telemetry::{CheckResult, CheckVerdict};
 

@@ -19,8 +19,7 @@ use crate::commands::question;
 use crate::commands::stop::Stop;
 use crate::control::{PressKind, PressOutcome};
 use crate::device::{DeviceError, Identity};
-use crate::rig::{Pressed, Rig, RigError, RigSettings};
-use crate::session::{PowerTest, QubeFile, UsbLost};
+use crate::rig::{PowerTest, Pressed, QubeFile, Rig, RigError, RigSettings, UsbLost};
 use crate::telemetry::{Ending, Fault, MotorState};
 
 /// Step of the voltages that are tried until a pushed arm returns, V. The first voltage at which it

@@ -11,8 +11,7 @@ use crate::commands::screen::{Progress, time_left};
 use crate::commands::stop::Stop;
 use crate::commands::{command_hints, failures, warn_without_realtime};
 use crate::control::HomingMethod;
-use crate::rig::{NotBegun, Recorded, Rig, RigError, RigSettings};
-use crate::session::RolloutPlan;
+use crate::rig::{NotBegun, Recorded, Rig, RigError, RigSettings, RolloutPlan};
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Fault};
 

@@ -168,7 +168,7 @@ fn keys_stop_pause_ask_and_help() {
 fn a_rollout_is_followed_tick_by_tick() {
     let view = RolloutPanel::default();
     assert_eq!(view.state().nearest_limit(), None);
-    let header = crate::session::RolloutPlan::single("run", "classical").header();
+    let header = crate::rig::RolloutPlan::single("run", "classical").header();
     view.begins(&header, 0);
     let limits = header.settings.safety_box;
     let tick = |number: u32, phase, part: f64| {

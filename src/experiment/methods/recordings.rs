@@ -8,8 +8,8 @@ use crate::experiment::{ExperimentError, RolloutResult};
 use crate::identification::{RecordingsError, excitation_after};
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
 use crate::qube::{PlantModel, Profile};
-use crate::rig::RigSettings;
-use crate::session::{IdentificationSettings, RolloutPlan, SeedFor, derived_seed};
+use crate::rig::{RigSettings, RolloutPlan};
+use crate::session::{IdentificationSettings, SeedFor, derived_seed};
 use crate::storage::{Disk, MachineDisk};
 
 /// Largest file of a stored result, such as a belief, that is read whole, bytes.

@@ -8,7 +8,7 @@ use crate::identification::{DRIFT_ROLLOUTS, Drift};
 use crate::policy::{EXCITATION_STEPS, Policy};
 use crate::qube::Profile;
 use crate::recording::{Recording, RecordingError, read_on};
-use crate::rig::{ClockChoice, NotBegun, Rig, RigError, RigSettings};
+use crate::rig::{ClockChoice, NotBegun, Rig, RigError, RigSettings, RolloutPlan};
 use crate::safety::Limit;
 use crate::scoring::{Verdict, score_recording};
 use crate::session::finished_rollout::{check_origin, check_policy};
@@ -16,8 +16,7 @@ use crate::session::folder::put_aside;
 use crate::session::plan::{identifying, wanted_rollouts};
 use crate::session::seeds::{SeedFor, derived_seed};
 use crate::session::{
-    AttemptId, Entry, Identification, RolloutPlan, ScoredRollout, SessionError, SessionEvent,
-    rig_of_rollout,
+    AttemptId, Entry, Identification, ScoredRollout, SessionError, SessionEvent, rig_of_rollout,
 };
 use crate::telemetry::Ending;
 

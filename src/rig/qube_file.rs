@@ -7,13 +7,12 @@ use std::path::{Path, PathBuf};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::configuration::read;
-use super::{ConfigurationError, LibraryWatchdog, PowerTest};
+use super::{LibraryWatchdog, PowerTest, QubeFileError};
 use crate::control::{HomingMethod, HomingSettings, LARGEST_OFFSET_RAD, TRAVELS_RAD};
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{MotorRating, PlantModel};
 use crate::safety::SafetyBox;
-use crate::storage::{MachineDisk, write_whole};
+use crate::storage::{MachineDisk, SETTINGS_BYTES, read_text, write_whole};
 
 /// Name of the file in the working directory.
 pub const QUBE_FILE: &str = "qube.toml";
@@ -141,13 +140,15 @@ impl QubeFile {
     /// # Errors
     /// The file cannot be read, or has an unknown key or an invalid value; the error names the
     /// line.
-    pub fn load(path: &Path) -> Result<Self, ConfigurationError> {
-        let text = read(path)?;
+    pub fn load(path: &Path) -> Result<Self, QubeFileError> {
+        let text = read_text(path, SETTINGS_BYTES)
+            .map_err(|source| QubeFileError::Unreadable { path: path.to_owned(), source })?;
         toml::from_str(&text).map_err(|source| match misplaced(&text, &source) {
-            Some((line, reason)) => {
-                ConfigurationError::OutOfRange { path: path.to_owned(), line: Some(line), reason }
+            Some((line, key, table)) => {
+                let (path, table) = (path.to_owned(), table.to_owned());
+                QubeFileError::Misplaced { path, line, key, table }
             }
-            None => ConfigurationError::Invalid { path: path.to_owned(), source: Box::new(source) },
+            None => QubeFileError::Invalid { path: path.to_owned(), source: Box::new(source) },
         })
     }
 
@@ -155,13 +156,13 @@ impl QubeFile {
     ///
     /// # Errors
     /// The disk is full or failing, or the folder is not writable.
-    pub fn save(&self, path: &Path, writer: &str) -> Result<(), ConfigurationError> {
+    pub fn save(&self, path: &Path, writer: &str) -> Result<(), QubeFileError> {
         let text = format!(
             "# Written by {writer}. Signs were found by pushing the arm; change the\n\
              # rest as you like. Limits may be narrower than the task's, not wider.\n\n{}",
             toml::to_string_pretty(self)?
         );
-        write_whole(&MachineDisk, path, text.as_bytes()).map_err(ConfigurationError::NotWritten)
+        write_whole(&MachineDisk, path, text.as_bytes()).map_err(QubeFileError::NotWritten)
     }
 
     /// These entries for the rig with this board. If the file belongs to another board, the entries
@@ -212,20 +213,16 @@ impl QubeFile {
     }
 }
 
-/// The line of an entry that belongs at the top of the file and is in a table, and the reason why
-/// it is refused; `None` for another error.
-fn misplaced(text: &str, error: &toml::de::Error) -> Option<(usize, String)> {
+/// The line and the name of an entry that belongs at the top of the file and is in a table, and
+/// the head of this table; `None` for another error.
+fn misplaced<'a>(text: &'a str, error: &toml::de::Error) -> Option<(usize, String, &'a str)> {
     let key = error.message().strip_prefix("unknown field `")?.split('`').next()?;
     if !TOP_KEYS.contains(&key) {
         return None;
     }
     let before = text.get(..error.span()?.start)?;
     let table = before.lines().rev().find(|line| line.trim_start().starts_with('['))?.trim();
-    let line = 1 + before.matches('\n').count();
-    Some((
-        line,
-        format!("{key} is in the table {table}: it belongs at the top, before the first table"),
-    ))
+    Some((1 + before.matches('\n').count(), key.to_owned(), table))
 }
 
 // Values are checked while they are parsed, so that an error names its line.
@@ -304,7 +301,7 @@ fn alpha_dot_limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D:
 mod tests {
     use super::*;
 
-    fn read_back(text: &str) -> Result<QubeFile, ConfigurationError> {
+    fn read_back(text: &str) -> Result<QubeFile, QubeFileError> {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(QUBE_FILE);
         std::fs::write(&path, text).unwrap();
@@ -349,7 +346,7 @@ mod tests {
             },
             limits: RigLimits { theta_rad: 2.0, ..RigLimits::default() },
             power: Some(PowerTest {
-                usb_lost: crate::session::UsbLost::KeepsVoltage,
+                usb_lost: crate::rig::UsbLost::KeepsVoltage,
                 date: "2026-01-31".into(),
                 board: "0123456789abcdef".into(),
             }),

@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use super::seeds::start_theta_rad;
+use super::start_angle::start_theta_rad;
 use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{MAX_STEPS, PlantModel, RewardWeights};
 use crate::recording::FORMAT_VERSION;
