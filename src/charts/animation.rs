@@ -1,5 +1,6 @@
 use std::fmt::Write;
 
+use super::escaped;
 use super::style::page_style;
 use crate::qube::State;
 use crate::replay::MotionLog;
@@ -185,10 +186,6 @@ fn animated(name: &str, values: impl Iterator<Item = f64>, duration_s: f64) -> S
         "<animate attributeName=\"{name}\" dur=\"{duration_s}s\" repeatCount=\"indefinite\" values=\"{}\"/>",
         values.join(";")
     )
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

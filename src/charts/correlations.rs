@@ -1,62 +1,80 @@
-use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
+use std::fmt::Write;
 
-use super::style::{BLUE, FONT, INK, TEXT, TITLE, VERMILION};
-use super::{DrawingError, PlotError};
+use super::escaped;
+use super::style::page_style;
 use crate::qube::Correlations;
 
 /// Width and height of one square, pixels.
-const SQUARE: i32 = 46;
+const SQUARE: usize = 40;
 
-/// Room for the names to the left of the squares and below them, pixels.
-const NAMES: i32 = 210;
+/// Width of the names to the left of the squares, pixels.
+const NAMES: usize = 250;
 
-/// Draws the correlations of a fit's errors as SVG: a square for each pair of quantities, blue for
-/// a positive correlation, vermilion for a negative one, and deeper the nearer it is to 1 or -1.
-///
-/// # Errors
-/// The drawing library failed.
-pub fn correlations_svg(correlations: &Correlations) -> Result<String, DrawingError> {
+/// Room around the squares and their names in a file, pixels.
+const MARGIN: usize = 12;
+
+/// Draws the correlations of a fit's errors as the SVG of a file. Its colours are light or dark as
+/// the reader's system is.
+#[must_use]
+pub fn correlations_svg(Correlations { names, rows }: &Correlations) -> String {
+    let (width, height) = size(names.len());
+    let (width, height) = (width + 2 * MARGIN, height + 2 * MARGIN);
+    let style = page_style();
+    let squares = squares(names, |row, column| rows[row][column]);
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
+         role=\"img\"><title>correlations of the errors</title><style>{style}.entry{{text-anchor:middle}}</style>\
+         <rect class=\"p\" width=\"{width}\" height=\"{height}\"/>\
+         <g transform=\"translate({MARGIN} {MARGIN})\">{squares}</g></svg>\n"
+    )
+}
+
+/// Draws the correlations of the quantities with these names as an SVG element of an HTML page. The
+/// page's style sheet colours the classes `d`, positive, and `dt`, negative, within the class
+/// `matrix`, and centres the texts of the class `entry`.
+#[must_use]
+pub fn correlations_element(names: &[String], entry: impl Fn(usize, usize) -> f64) -> String {
+    let (width, height) = size(names.len());
+    let squares = squares(names, entry);
+    format!(
+        "<svg class=\"matrix\" width=\"{width}\" height=\"{height}\" role=\"img\">{squares}</svg>"
+    )
+}
+
+/// Width and height of the drawing for this many quantities, pixels.
+fn size(quantities: usize) -> (usize, usize) {
+    (NAMES + SQUARE * quantities, SQUARE * (quantities + 1))
+}
+
+/// A square with its number for each pair of quantities, blue for a positive correlation, vermilion
+/// for a negative one, and deeper the nearer it is to 1 or -1; with the numbered names to the left,
+/// and the numbers below.
+fn squares(names: &[String], entry: impl Fn(usize, usize) -> f64) -> String {
     let mut svg = String::new();
-    draw(&mut svg, correlations)?;
-    Ok(svg)
-}
-
-fn draw(svg: &mut String, Correlations { names, rows }: &Correlations) -> Result<(), PlotError> {
-    let side = SQUARE * names.len() as i32;
-    let (top, size) = (40, ((NAMES + side + 20) as u32, (40 + side + NAMES) as u32));
-    let root = SVGBackend::with_string(svg, size).into_drawing_area();
-    root.fill(&WHITE)?;
-    let title = "correlations of the errors";
-    root.draw(&Text::new(title, (10, 10), (FONT, TITLE).into_font().color(&INK)))?;
-    let font = (FONT, TEXT - 2).into_font();
-    let left = font.color(&INK).pos(Pos::new(HPos::Right, VPos::Center));
-    let turned = font.transform(FontTransform::Rotate270).color(&INK);
-    let below = turned.pos(Pos::new(HPos::Right, VPos::Center));
-    let number = (FONT, TEXT - 3).into_font().color(&INK).pos(Pos::new(HPos::Center, VPos::Center));
-    for (index, name) in names.iter().enumerate() {
-        let middle = SQUARE * index as i32 + SQUARE / 2;
-        root.draw(&Text::new(name.as_str(), (NAMES - 8, top + middle), left.clone()))?;
-        root.draw(&Text::new(name.as_str(), (NAMES + middle, top + side + 8), below.clone()))?;
-    }
-    for (row, values) in rows.iter().enumerate() {
-        for (column, value) in values.iter().enumerate() {
-            let corner = (NAMES + SQUARE * column as i32, top + SQUARE * row as i32);
-            let end = (corner.0 + SQUARE - 2, corner.1 + SQUARE - 2);
-            root.draw(&Rectangle::new([corner, end], shade(*value).filled()))?;
-            let middle = (corner.0 + SQUARE / 2, corner.1 + SQUARE / 2);
-            root.draw(&Text::new(format!("{value:.2}"), middle, number.clone()))?;
+    for (row, name) in names.iter().enumerate() {
+        let middle = SQUARE * row + SQUARE / 2 + 4;
+        let _ = write!(svg, "<text x=\"0\" y=\"{middle}\">{}: {}</text>", row + 1, escaped(name));
+        for column in 0..row {
+            let value = entry(row, column);
+            let class = if value < 0.0 { "dt" } else { "d" };
+            let (x, y) = (NAMES + SQUARE * column, SQUARE * row);
+            let _ = write!(
+                svg,
+                "<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{SQUARE}\" height=\"{SQUARE}\" \
+                 fill-opacity=\"{:.2}\"/><text class=\"entry\" x=\"{}\" y=\"{middle}\">{value:.2}</text>",
+                0.65 * value.abs().min(1.0),
+                x + SQUARE / 2,
+            );
         }
+        let _ = write!(
+            svg,
+            "<text class=\"entry\" x=\"{}\" y=\"{}\">{}</text>",
+            NAMES + SQUARE * row + SQUARE / 2,
+            SQUARE * names.len() + SQUARE / 2,
+            row + 1
+        );
     }
-    root.present()
-}
-
-/// The colour of a correlation: white for none, and pale enough at 1 for the number on it.
-fn shade(correlation: f64) -> RGBColor {
-    let RGBColor(red, green, blue) = if correlation < 0.0 { VERMILION } else { BLUE };
-    let share = 0.7 * correlation.abs().min(1.0);
-    let mix = |part: u8| (share * f64::from(part) + (1.0 - share) * 255.0) as u8;
-    RGBColor(mix(red), mix(green), mix(blue))
+    svg
 }
 
 #[cfg(test)]
@@ -65,13 +83,15 @@ mod tests {
 
     #[test]
     fn each_pair_has_its_number_and_opposite_signs_other_colours() {
-        let names = ["R_m", "k_m", "M_r"].map(String::from).to_vec();
-        let rows = vec![vec![1.0], vec![0.8, 1.0], vec![-0.8, 0.0, 1.0]];
-        let svg = correlations_svg(&Correlations { names, rows }).unwrap();
-        for (text, times) in [("1.00", 3), ("-0.80", 1), ("R_m", 2), ("k_m", 2), ("M_r", 2)] {
-            assert_eq!(svg.matches(text).count(), times, "{text}: {svg}");
+        let names = ["R_m", "<k_m>", "M_r"].map(String::from).to_vec();
+        let rows = vec![vec![1.0], vec![-0.94, 1.0], vec![0.5, 0.0, 1.0]];
+        let file = correlations_svg(&Correlations { names: names.clone(), rows: rows.clone() });
+        let element = correlations_element(&names, |row, column| rows[row][column]);
+        for svg in [file, element] {
+            assert_eq!(svg.matches("fill-opacity").count(), 3, "{svg}");
+            assert_eq!(svg.matches("class=\"dt\"").count(), 1, "{svg}");
+            assert!(svg.contains("fill-opacity=\"0.61\"") && svg.contains(">-0.94<"), "{svg}");
+            assert!(svg.contains("2: &lt;k_m&gt;") && svg.contains("3: M_r"), "{svg}");
         }
-        assert_ne!(shade(0.8), shade(-0.8));
-        assert_eq!(shade(0.0), RGBColor(255, 255, 255));
     }
 }

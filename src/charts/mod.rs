@@ -1,5 +1,6 @@
 //! Figures as SVG, drawn from data that other rooms computed. Only the figures of [`toy`] compute
-//! their own data.
+//! their own data. The interactive plots of reports and of the live view are not drawn here but by
+//! uPlot in the browser, from data that these pages contain or receive.
 //!
 //! Only the feature `cli` builds this room, so that the library without `cli` needs no drawing
 //! library. The room may import `qube`, `simulation`, `replay`, `search` and `surrogate`.
@@ -20,7 +21,7 @@ mod training_progress;
 
 pub use animation::animation_svg;
 pub use at_budget::{ShareOfPlant, at_budget_svg};
-pub use correlations::correlations_svg;
+pub use correlations::{correlations_element, correlations_svg};
 pub use densities::densities_svg;
 pub use methods::{StepLine, methods_svg};
 pub use motion::motion_svg;
@@ -45,6 +46,11 @@ fn best_so_far(values: &[f64]) -> Vec<f64> {
         best
     };
     values.iter().map(best_with).collect()
+}
+
+/// A text as SVG contains it.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 /// The error that a figure cannot be drawn, because the drawing library failed.

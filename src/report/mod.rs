@@ -7,9 +7,9 @@
 //! the page's own script draws with uPlot. Every text from a file is escaped, and the page's
 //! content security policy allows no other script and no request.
 //!
-//! Only the feature `cli` builds this room. It may import `experiment`, `session`, `scoring`,
-//! `replay`, `identification`, `recording`, `search`, `surrogate`, `learning`, `simulation`,
-//! `telemetry`, `storage` and `qube`.
+//! Only the feature `cli` builds this room. It may import `charts`, `experiment`, `session`,
+//! `scoring`, `replay`, `identification`, `recording`, `search`, `surrogate`, `learning`,
+//! `simulation`, `telemetry`, `storage` and `qube`.
 
 mod chart;
 mod densities;

@@ -204,15 +204,9 @@ impl Page {
         self.figure(caption, explanation, &format!("<canvas class=\"map\" data-map=\"{index}\" role=\"img\" aria-label=\"{}\"></canvas>", escaped(caption)));
     }
 
-    /// Adds a picture of a symmetric matrix with entries from -1 to 1: its part below the diagonal.
-    pub fn matrix(
-        &mut self,
-        caption: &str,
-        explanation: &str,
-        names: &[String],
-        entry: impl Fn(usize, usize) -> f64,
-    ) {
-        self.figure(caption, explanation, &matrix_svg(names, entry));
+    /// Adds a picture, given as an SVG element whose texts are escaped.
+    pub fn picture(&mut self, caption: &str, explanation: &str, svg: &str) {
+        self.figure(caption, explanation, &format!("<div class=\"wide\">{svg}</div>"));
     }
 
     fn figure(&mut self, caption: &str, explanation: &str, content: &str) {
@@ -270,47 +264,6 @@ impl Page {
             self.body
         ))
     }
-}
-
-/// Side of a square of the matrix, pixels.
-const SQUARE: usize = 34;
-/// Width of the names to the left of the matrix, pixels.
-const NAMES: usize = 250;
-
-/// The part of a matrix below its diagonal as an SVG picture: a square for each entry with the
-/// entry's number, darker the farther the entry is from 0.
-fn matrix_svg(names: &[String], entry: impl Fn(usize, usize) -> f64) -> String {
-    let side = SQUARE * names.len();
-    let mut svg = format!(
-        "<div class=\"wide\"><svg class=\"matrix\" width=\"{}\" height=\"{}\" role=\"img\">",
-        NAMES + side,
-        side + SQUARE
-    );
-    for (row, name) in names.iter().enumerate() {
-        let middle = SQUARE * row + SQUARE / 2 + 4;
-        let _ = write!(svg, "<text x=\"0\" y=\"{middle}\">{}: {}</text>", row + 1, escaped(name));
-        for column in 0..row {
-            let value = entry(row, column);
-            let class = if value < 0.0 { "negative" } else { "positive" };
-            let (x, y) = (NAMES + SQUARE * column, SQUARE * row);
-            let _ = write!(
-                svg,
-                "<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{SQUARE}\" height=\"{SQUARE}\" \
-                 fill-opacity=\"{:.2}\"/><text class=\"entry\" x=\"{}\" y=\"{middle}\">{value:.1}</text>",
-                0.65 * value.abs().min(1.0),
-                x + SQUARE / 2,
-            );
-        }
-        let _ = write!(
-            svg,
-            "<text class=\"entry\" x=\"{}\" y=\"{}\">{}</text>",
-            NAMES + SQUARE * row + SQUARE / 2,
-            side + SQUARE / 2,
-            row + 1
-        );
-    }
-    svg.push_str("</svg></div>");
-    svg
 }
 
 /// The SHA-256 hash by which a content security policy names a script or a style.
@@ -378,16 +331,6 @@ mod tests {
         }
         // The only address in a page is in the licence notice of uPlot.
         assert_eq!(html.matches("https://").count() + html.matches("http://").count(), 1);
-    }
-
-    #[test]
-    fn a_matrix_is_drawn_below_its_diagonal_with_its_numbers() {
-        let names = ["one", "<two>", "three"].map(str::to_owned);
-        let svg = matrix_svg(&names, |row, column| if row + column == 1 { -0.94 } else { 0.5 });
-        assert_eq!(svg.matches("<rect").count(), 3);
-        assert_eq!(svg.matches("class=\"negative\"").count(), 1);
-        assert!(svg.contains("fill-opacity=\"0.61\"") && svg.contains(">-0.9<"), "{svg}");
-        assert!(svg.contains("2: &lt;two&gt;"), "{svg}");
     }
 
     #[test]

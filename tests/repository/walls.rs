@@ -93,8 +93,8 @@ const ROOMS: &[Room] = &[
     // It writes a page from the results of other rooms.
     Room {
         name: "report",
-        may_import: &["experiment", "session", "scoring", "replay", "identification", "recording", "search",
-                      "surrogate", "learning", "simulation", "telemetry", "storage", "qube"],
+        may_import: &["charts", "experiment", "session", "scoring", "replay", "identification", "recording",
+                      "search", "surrogate", "learning", "simulation", "telemetry", "storage", "qube"],
         tests_may_import: &["safety"],
     },
     room("commands", EVERY_ROOM),

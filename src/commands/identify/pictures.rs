@@ -53,8 +53,7 @@ pub fn draw(
         }
     }
     if let Some(correlations) = correlations {
-        let svg = correlations_svg(correlations).map_err(Failure::failed)?;
-        write_picture(folder, CORRELATIONS, &svg)?;
+        write_picture(folder, CORRELATIONS, &correlations_svg(correlations))?;
     }
     let and = correlations.map_or(String::new(), |_| format!(" and {CORRELATIONS}"));
     let count = match drawn {

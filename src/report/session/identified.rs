@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use super::SessionSource;
 use super::source::{COMPARED, ComparedMotion};
+use crate::charts::correlations_element;
 use crate::identification::{PredictionRegime, regime_error, start_state};
 use crate::qube::{Profile, Quantity, QubeModel};
 use crate::replay::simulate_from;
@@ -84,12 +85,12 @@ fn add_correlations(page: &mut Page, profile: &Profile) {
     let quantities: Vec<Quantity> =
         correlations.names.iter().filter_map(|name| Quantity::from_name(name)).collect();
     let names: Vec<String> = quantities.iter().map(|quantity| words(*quantity)).collect();
-    page.matrix(
+    let entry = |row: usize, column: usize| correlations.of(quantities[row], quantities[column]);
+    page.picture(
         "Correlations of the errors",
         "Near 1 or −1 two errors are strongly correlated: the recordings determine a combination of the two quantities better than \
          each of them.",
-        &names,
-        |row, column| correlations.of(quantities[row], quantities[column]),
+        &correlations_element(&names, entry),
     );
 }
 
