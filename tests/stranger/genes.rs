@@ -1,3 +1,4 @@
+use qube_hil::elementary::normal_pair;
 use rand::{Rng, RngExt};
 
 /// A reader of genes, one after the other. Each gene is about normally distributed; those beyond
@@ -40,8 +41,7 @@ impl<'a> Genes<'a> {
     }
 }
 
-/// A normally distributed number, computed by operations that give the same bits on every machine.
+/// A normally distributed number, with the same bits on every machine.
 pub fn normal(random: &mut impl Rng) -> f64 {
-    let radius = (-2.0 * libm::log(1.0 - random.random::<f64>())).sqrt();
-    radius * libm::cos(std::f64::consts::TAU * random.random::<f64>())
+    normal_pair([random.random(), random.random()])[0]
 }
