@@ -39,6 +39,8 @@ pub struct SessionProgress {
     updates: u32,
     /// Number of trainings of each candidate around the identified Qube.
     trainings: u32,
+    /// Number of rollouts that verify a policy.
+    verification_rollouts: u32,
     pace: TrainingPace,
     /// Returns of each candidate's rollouts, and how many of them balanced.
     returns: BTreeMap<u32, (Vec<f64>, u32)>,
@@ -69,6 +71,7 @@ impl SessionProgress {
             around: settings.identification.map(|plan| plan.candidates),
             updates,
             trainings,
+            verification_rollouts: extent.verification_rollouts,
             pace: TrainingPace::new(updates.saturating_mul(trainings)),
             returns: BTreeMap::new(),
             connected: BTreeSet::new(),
@@ -160,7 +163,9 @@ impl SessionProgress {
                 let on_rig = rig.map_or(String::new(), |rig| format!(" on rig {rig}"));
                 let again =
                     if *attempt > 0 { format!(" (try {})", attempt + 1) } else { String::new() };
-                let name = format!("candidate {candidate}, rollout {rollout}{on_rig}{again}");
+                let place = self.place(*purpose, *rollout);
+                let name =
+                    format!("candidate {candidate}, rollout {rollout}{place}{on_rig}{again}");
                 self.rollout(*candidate, *purpose, &name, verdict);
             }
         }
@@ -181,10 +186,7 @@ impl SessionProgress {
         self.candidates = counts.total.unwrap_or(last);
         let text = proposed(candidate, purpose, why, counts);
         self.proposed(candidate, purpose, &text, counts);
-        let left = self.time_left().filter(|_| counts.total.is_some());
-        let left =
-            left.map_or(String::new(), |left| format!("; about {} left in all", in_words(left)));
-        self.line(text + &left);
+        self.line(text + &left_in_all(self.time_left(), counts));
     }
 
     /// Shows an update of a training.
@@ -223,6 +225,14 @@ impl SessionProgress {
             warn_without_realtime(opened.realtime());
         }
         self.progress.update(|state| state.phase = ROLLOUTS.into());
+    }
+
+    /// The place of a rollout among those that verify a policy, from 1; empty for another rollout.
+    fn place(&self, purpose: Purpose, rollout: u32) -> String {
+        match purpose.verifies() {
+            true => format!(" ({} of {})", rollout + 1, self.verification_rollouts),
+            false => String::new(),
+        }
     }
 
     /// Shows the outcome of a rollout.
@@ -335,6 +345,13 @@ fn proposed(candidate: u32, purpose: Purpose, why: &str, counts: &CandidateCount
     }
 }
 
+/// The end of a proposal's line that says how much time is left, or at most is left in a search
+/// that may end early; empty if it is not known.
+fn left_in_all(left: Option<Duration>, counts: &CandidateCounts) -> String {
+    let at_most = if counts.total.is_none() { "at most " } else { "" };
+    left.map_or(String::new(), |left| format!("; {at_most}about {} left in all", in_words(left)))
+}
+
 /// A verdict in words.
 fn describe(verdict: &Verdict) -> String {
     match verdict {
@@ -370,6 +387,26 @@ mod tests {
         let told = |purpose| proposed(13, purpose, "why", &counts);
         assert_eq!(told(Purpose::Search), "candidate 13: why, 10 of at most 10");
         assert_eq!(told(Purpose::Incumbent), "candidate 13: why");
+    }
+
+    #[test]
+    fn the_time_left_of_a_search_that_may_end_early_is_a_limit() {
+        let told = |total, left| {
+            left_in_all(left, &CandidateCounts { searched: 3, most_searched: 10, total })
+        };
+        let left = Some(Duration::from_secs(240));
+        assert_eq!(told(Some(12), left), "; about 4 min left in all");
+        assert_eq!(told(None, left), "; at most about 4 min left in all");
+        assert_eq!(told(None, None), "");
+    }
+
+    #[test]
+    fn a_rollout_that_verifies_a_policy_has_its_place() {
+        let settings = SessionSettings::quick();
+        let progress = SessionProgress::new(&settings, &Progress::lines(), &Stop::default());
+        let last = settings.extent.verification_rollouts - 1;
+        assert_eq!(progress.place(Purpose::Incumbent, last), format!(" ({0} of {0})", last + 1));
+        assert_eq!(progress.place(Purpose::Search, 0), "");
     }
 
     #[test]
