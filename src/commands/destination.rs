@@ -17,6 +17,12 @@ use crate::storage::{Disk, Existing, FolderLock, MachineDisk, folder_of, write_n
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
 const ROOM_BYTES: usize = 1 << 18;
 
+/// Path, in the folder of the command that makes it, of the recording of the rollout with this
+/// number.
+pub fn recording_of(folder: &Path, rollout: u32) -> PathBuf {
+    folder.join(format!("rollout-{rollout}.mcap"))
+}
+
 /// The file that a command writes at the end of its work.
 #[derive(Debug)]
 pub struct OutputFile {

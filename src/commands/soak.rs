@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::check_arguments::CheckArguments;
 use super::chosen_device::ChosenDevice;
 use super::command_hints::before_motion;
-use super::destination::OutputFolder;
+use super::destination::{OutputFolder, recording_of};
 use super::device_arguments::DeviceArguments;
 use super::exit::Failure;
 use super::keyboard::{CtrlZ, Keyboard};
@@ -202,7 +202,7 @@ impl Soaked {
         let mut not_begun = NotBegun::default();
         while self.ticks < ticks_wanted && !stop.requested() {
             let rollout = self.rollouts as u32;
-            let path = folder.path.join(format!("rollout-{rollout}.mcap"));
+            let path = recording_of(&folder.path, rollout);
             let plan = RolloutPlan {
                 rollout,
                 seed: arguments.seed,

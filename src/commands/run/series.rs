@@ -3,6 +3,7 @@ use std::time::Instant;
 
 use super::controller::RunController;
 use super::results::RunResults;
+use crate::commands::destination::recording_of;
 use crate::commands::exit::Failure;
 use crate::commands::keyboard::Keyboard;
 use crate::commands::live::Live;
@@ -169,7 +170,7 @@ impl RolloutSeries<'_> {
     /// too, which is a newly opened one after an acknowledged doubt.
     fn rollout(&mut self, mut rig: Rig, rollout: u32) -> Result<(Rig, Recorded), Failure> {
         let plan = RolloutPlan { rollout, ..self.plan.clone() };
-        let path = self.directory.join(format!("rollout-{rollout}.mcap"));
+        let path = recording_of(&self.directory, rollout);
         let mut not_begun = NotBegun::default();
         loop {
             match rig.rollout(&MachineDisk, &path, plan.header(), self.controller.file(rollout)) {
