@@ -121,3 +121,21 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Args as _;
+
+    use super::*;
+
+    #[test]
+    fn the_help_lists_the_form_of_every_fault() {
+        let mut command = Arguments::augment_args(clap::Command::new("emulate"));
+        let help = command.render_long_help().to_string();
+        let forms = EmulatorFault::forms();
+        assert!(forms.lines().count() > 25, "{forms}");
+        for form in forms.lines() {
+            assert!(help.contains(form.trim()), "{form}: {help}");
+        }
+    }
+}

@@ -93,10 +93,19 @@ fn invalid_configurations_are_refused_with_their_line() {
     session("[training]\nupdates = 0\n", &["my.toml, line 2: training.updates = 0"]);
     session("[extent]\niterations = 4000000000\n", &["my.toml, line 2: extent.iterations"]);
     session("[safety_box]\ntheta = 1e300\n", &["my.toml, line 2: safety_box.theta = 1e300: "]);
-    let recipe = "name = \"mine\"\nmodel = \"nominal\"\n[settings.training]\ndiscount = 7.0\n";
-    std::fs::write(&path, recipe).unwrap();
-    let arguments = ["experiment", "--recipe", "my.toml", "--out", "session"];
-    refused(directory.path(), &arguments, 2, &["my.toml, line 4: training.discount = 7"]);
+    for (entry, named) in [
+        ("discount = 7.0", "training.discount = 7"),
+        ("num_envs = 0", "training.num_envs = 0"),
+        // The name in files of earlier versions.
+        ("pendulums = 0", "training.pendulums = 0"),
+    ] {
+        let recipe =
+            format!("name = \"mine\"\nmodel = \"nominal\"\n[settings.training]\n{entry}\n");
+        std::fs::write(&path, recipe).unwrap();
+        let arguments = ["experiment", "--recipe", "my.toml", "--out", "session"];
+        refused(directory.path(), &arguments, 2, &[&format!("my.toml, line 4: {named}")]);
+        assert!(!directory.path().join("session").exists(), "{entry} was run all the same");
+    }
 }
 
 #[test]

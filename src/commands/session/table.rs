@@ -350,6 +350,7 @@ mod tests {
     use super::super::Arguments;
     use super::*;
     use crate::scoring::Latencies;
+    use crate::session::Candidate;
 
     fn empty_table() -> SessionTable {
         SessionTable(SessionReport {
@@ -394,6 +395,35 @@ mod tests {
         ] {
             let word = word(purpose, || 7).replace('7', "N");
             assert!(help.contains(&format!(" {word}: ")), "{word}: {help}");
+        }
+    }
+
+    #[test]
+    fn each_value_of_the_best_psi_has_its_unit() {
+        let mut table = empty_table();
+        let psi = PsiSpace::of_posterior(1);
+        let point = vec![0.5; psi.dimensions().len()];
+        (table.0.psi, table.0.best) =
+            (psi, Some(BestPolicy { candidate: 0, policy: "policy.safetensors".into() }));
+        let candidate = Candidate {
+            number: 0,
+            purpose: Purpose::Incumbent,
+            point,
+            trained: true,
+            finished: Vec::new(),
+            void: 0,
+            void_before: 0,
+            policy_of: None,
+            identified_from: None,
+        };
+        table.0.candidates = vec![ScoredCandidate::new(candidate, [])];
+        let text = table.text();
+        for line in [
+            "  log_width  0.50000\n",
+            "  shift_1    0.50000 standard errors\n",
+            "  mean_lag   0.50000 s\n",
+        ] {
+            assert!(text.contains(line), "{line}: {text}");
         }
     }
 
