@@ -7,6 +7,25 @@
 //! of each.
 //!
 //! The room is pure (no randomness, no clock, no I/O) and may import `qube` and `elementary`.
+//!
+//! ```
+//! use qube_hil::estimation::{Calibration, Estimates, Estimator, EstimatorSettings};
+//! use qube_hil::qube::{Measurement, RAD_PER_COUNT};
+//!
+//! // The arm turns towards positive theta by 10 counts in each period of 10 ms. Its encoder is
+//! // wired in reverse, and gives 500 in the middle between the stops.
+//! let calibration =
+//!     Calibration { theta_zero_counts: 500, theta_inverted: true, ..Calibration::IDENTITY };
+//! let mut estimator = Estimator::new(EstimatorSettings::default(), calibration);
+//! let mut estimates = Estimates::default();
+//! for tick in 0..=50 {
+//!     let (device_time_us, theta_counts) = (10_000 * tick, 500 - 10 * tick as i32);
+//!     let measurement = Measurement { device_time_us, theta_counts, ..Measurement::default() };
+//!     estimates = estimator.update(&measurement);
+//! }
+//! assert_eq!(estimates.seen.theta, 500.0 * RAD_PER_COUNT);
+//! assert!((estimates.seen.theta_dot - 1000.0 * RAD_PER_COUNT).abs() < 1e-6);
+//! ```
 
 mod calibration;
 mod estimator;

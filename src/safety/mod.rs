@@ -6,6 +6,20 @@
 //!
 //! The room holds pure state machines and can be read alone. It may import `qube`, `elementary`
 //! and, to simulate the velocities that a brake will be given, `estimation`.
+//!
+//! ```
+//! use qube_hil::qube::{PlantModel, State};
+//! use qube_hil::safety::{Brake, Limit, SafetyBox, clamp_to_mv};
+//!
+//! // A rollout ends when the state leaves the box.
+//! let state = State { theta: 2.35, theta_dot: 3.0, ..State::default() };
+//! assert_eq!(SafetyBox::THESIS.violation(&state), Some(Limit::Theta));
+//! // From then on the brake drives the arm back, within the limit on the voltage.
+//! let plant = PlantModel::QUBE;
+//! let voltage_v = Brake::centring(&plant).voltage_v(&state);
+//! let voltage_mv = clamp_to_mv(voltage_v, plant.limits.largest_voltage_v).unwrap();
+//! assert!((-5000..0).contains(&voltage_mv));
+//! ```
 
 mod belief;
 mod brake_law;
