@@ -115,7 +115,7 @@ fn measure(name: &str, executor: &LocalExecutor) {
         ratios.push(with.p99 / without.p99);
         println!(
             "pair {}: lateness p99 {:.2} us without, {:.2} us with trainings: {:.2} times; largest {:.0} and {:.0} us; \
-             the host of this virtual machine took {:.0} ms",
+             a host took {:.0} ms of processor time from this computer",
             pair + 1,
             without.p99,
             with.p99,

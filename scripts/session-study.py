@@ -9,13 +9,13 @@ usage: scripts/session-study.py [--plants NAME,...] [--seeds N] [--first S] [--m
   delay   lab with a delay of 16 ms
   drawn   each number of lab within 15 per cent except gravity, with other numbers for each session
 
-The plants of scripts/comparison/beyond.toml, which have effects that no simulation of the program has:
+The plants of scripts/comparison/beyond.toml, with effects that neither the training simulations nor a fit contains:
   play        lab with a backlash of 1 degree between motor and arm
   presliding  friction that yields over 0.03 rad before it slides, with half as much again near standstill
   cable       a cable that lags by 0.5 mN m and is slack on one side
   warm        a winding that grows by 30 % a watt, and an arm encoder that is off by up to 0.02 rad
 
-The plants of scripts/comparison/other-forms.toml, for whose effects no verdict looks:
+The plants of scripts/comparison/other-forms.toml, with further such effects whose form identify does not test for:
   tilt        lab on a base that is tilted by 0.009 rad
   ripple      a motor whose torque changes by 20 % twelve times a turn
   bearing     dry friction of 0.1 mN m in the pendulum's bearing

@@ -162,7 +162,7 @@ fn sweep(method: HomingMethod, stride: u64) -> Tally {
         sum.longest_on_us = sum.longest_on_us.max(tally.longest_on_us);
     }
     println!(
-        "fault port, homing {method:?}: {operations} operations, {} runs: {} finished, {} void, \
+        "failing wire, homing {method:?}: {operations} operations, {} runs: {} finished, {} void, \
          {} not begun; amplifier off at most {} us after the last valid command",
         sum.runs, sum.finished, sum.void, sum.not_begun, sum.longest_on_us
     );

@@ -81,8 +81,8 @@ fn lab(gap: f64) -> QubeModel {
     Profile::lab().model().scaled(gap)
 }
 
-/// Rollouts back to back that each policy must at least run on each Qube: in this time the motor
-/// comes close to its highest load.
+/// Smallest number of consecutive rollouts of each policy on each Qube; by then the motor is close
+/// to its highest load.
 const LEAST_ROLLOUTS: u64 = 12;
 
 /// Runs `rollouts` rollouts of the classical controller and of two trained policies on three Qubes,
@@ -135,7 +135,7 @@ fn ordinary_rollouts_back_to_back_never_warn() {
 
 #[test]
 #[ignore = "two minutes"]
-fn nor_do_a_thousand_of_each() {
+fn a_thousand_rollouts_of_each_kind_back_to_back_never_warn() {
     rollouts_back_to_back(1000);
 }
 
