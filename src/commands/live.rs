@@ -136,7 +136,7 @@ impl Live {
     pub fn rollout(&self, rollout: u32, of: u32) {
         self.change(|status| {
             status.doing = format!("rollout {} of {of}", rollout + 1);
-            status.of = Some(of);
+            status.total = Some(of);
         });
     }
 
@@ -145,8 +145,8 @@ impl Live {
         self.change(|status| better(status, return_));
     }
 
-    /// Shows one event of a session. `left` is the time until the session's last candidate is done,
-    /// if it is known.
+    /// Shows one event of a session. `left` is the time until the session's last candidate is
+    /// trained, if it is known.
     pub fn update(&mut self, event: &SessionEvent, left: Option<Duration>) {
         let Some(view) = &self.view else { return };
         match event {
@@ -159,7 +159,7 @@ impl Live {
                 }
                 view.update_status(|status| {
                     status.candidate = Some(*candidate);
-                    status.of = counts.total;
+                    status.total = counts.total;
                     status.time_left_s = left.map(|left| left.as_secs_f64());
                     status.doing = match purpose {
                         Purpose::Verification => "verifying the recommendation".to_owned(),

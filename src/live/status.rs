@@ -15,15 +15,15 @@ pub struct LiveStatus {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "u32", default)]
     pub candidate: Option<u32>,
-    /// Number of candidates, or of rollouts without candidates. Absent in an experiment and where a search may end early.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    /// Number of candidates of a session, or of rollouts of `run`. Absent in an experiment, and in a session that may end early.
+    #[serde(rename = "of", skip_serializing_if = "Option::is_none")]
     #[schemars(with = "u32", default)]
-    pub of: Option<u32>,
+    pub total: Option<u32>,
     /// Largest return so far; the largest possible is 600.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64", default)]
     pub best_return: Option<f64>,
-    /// Estimate of the time until the command ends, s.
+    /// Estimate of the time until the session's last candidate is trained, s. Absent before the second update of the first training, after the last training, and outside a session.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "f64", default)]
     pub time_left_s: Option<f64>,
