@@ -4,15 +4,15 @@
 use std::fs;
 use std::process::{Command, Output};
 
+use crate::shared::isolate;
 use crate::tree::root;
 
 fn install(arguments: &[&str]) -> Output {
-    let script = root().join("scripts/install");
-    Command::new(script)
-        .args(["--binary", env!("CARGO_BIN_EXE_qube-hil")])
-        .args(arguments)
-        .output()
-        .unwrap()
+    let home = tempfile::tempdir().unwrap();
+    let mut command = Command::new(root().join("scripts/install"));
+    command.args(["--binary", env!("CARGO_BIN_EXE_qube-hil")]).args(arguments);
+    isolate(&mut command, home.path());
+    command.output().unwrap()
 }
 
 fn stdout(output: &Output) -> String {
