@@ -16,10 +16,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::busy_computer::in_real_time;
 use crate::count_from;
-use crate::shared::command_in;
-
-/// Limit for a hang, which no busy computer reaches.
-const PATIENCE: Duration = Duration::from_secs(600);
+use crate::shared::{PATIENCE, command_in};
 
 fn program(directory: &Path, arguments: &[&str]) -> Command {
     let mut command = command_in(directory);
@@ -84,7 +81,7 @@ fn run_until_a_rollout_is_under_way(directory: &Path, port: &str, rollouts: &str
 }
 
 #[test]
-fn a_second_commander_is_refused_within_a_second_and_told_who_the_first_is() {
+fn a_second_program_on_a_port_is_refused_within_a_second_and_told_which_process_holds_it() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let (_qube, port) = emulate(directory.path());
@@ -158,7 +155,7 @@ const SMALL: &str = "seed = 5\nstrategy = \"random\"\n\
     [extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 2\nverification_rollouts = 2\n\
     steps = 60\n\
     [homing]\nmethod = \"hand\"\n\
-    [training]\nupdates = 1\npendulums = 16\nepochs = 1\nevaluation_starts = 16\n";
+    [training]\nupdates = 1\nnum_envs = 16\nepochs = 1\nevaluation_starts = 16\n";
 
 fn session(directory: &Path, name: &str) -> Running {
     let folder = directory.join(name);
@@ -186,7 +183,7 @@ fn decisions(ledger: &[u8]) -> Vec<Entry> {
     entries
 }
 
-/// Recordings that a kill has cut off and a later life has put aside.
+/// Recordings that a kill cut off, and that the next process of the session put aside.
 fn cut_off(folder: &Path) -> Vec<PathBuf> {
     let candidates = std::fs::read_dir(folder.join("candidates")).into_iter().flatten().flatten();
     candidates
@@ -214,7 +211,7 @@ fn killed_at_random_instants_nothing_finished_is_lost_or_repeated() {
         let mut seen: Vec<Entry> = Vec::new();
         loop {
             let mut running = session(directory.path(), &name);
-            // Most kills come early, so that a session has many lives.
+            // Most kills come early, so that a session is resumed many times.
             let fraction: f64 = random.random();
             std::thread::sleep(length.mul_f64(fraction * fraction));
             if let Some(status) = running.0.try_wait().unwrap() {

@@ -1,12 +1,12 @@
 //! Tests the ends of a `run` on a port: whole processes, a real pty, an emulated Qube with a fault.
 //! Measured returns are always printed, and nothing that is in doubt moves again by itself.
 //!
-//! A complete rollout would demand a computer that keeps up with real time; the endings of rollouts
-//! and their reports are tested in virtual time beside the command.
+//! A rollout that must complete would need a computer that keeps up with real time;
+//! src/commands/run/tests.rs tests the endings of rollouts in virtual time.
 
 use std::path::Path;
 use std::process::Output;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use qube_hil::rig::{Doubt, DoubtStore};
 use qube_hil::telemetry::{Fault, Preflight};
@@ -15,9 +15,7 @@ use tempfile::TempDir;
 
 use crate::busy_computer::{TOO_LATE, in_real_time};
 use crate::program::{ServedQube, program};
-
-/// Time that suffices on any computer that is merely busy.
-const PATIENCE: Duration = Duration::from_secs(600);
+use crate::shared::PATIENCE;
 
 /// Seed of the emulated Qube, from which its serial number follows.
 const SEED: u64 = 5;
@@ -38,9 +36,9 @@ fn run(directory: &Path, out: &str, more: &[&str]) -> (Output, Value, String) {
 /// Times after which the cable comes out, s. The first lies in homing on a computer that keeps up.
 const UNPLUGGED_S: [f64; 4] = [0.7, 2.0, 6.0, 20.0];
 
-/// Calls `run` on an emulated Qube whose cable comes out while the program homes it; `back` says
-/// when it is plugged in again. A busy computer may not have begun to home by then: the cable of
-/// the next run comes out later.
+/// Calls `run` on an emulated Qube whose cable comes out while the program homes it. `back` is
+/// empty if the cable stays out, or `+S`: it is plugged in again after S seconds. A busy computer
+/// may not have begun to home by then: the cable of the next run comes out later.
 fn run_unplugged(back: &str, more: &[&str]) -> (TempDir, ServedQube, (Output, Value, String)) {
     let mut last = String::new();
     for after_s in UNPLUGGED_S {

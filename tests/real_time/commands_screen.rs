@@ -8,10 +8,7 @@ use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use crate::busy_computer::in_real_time;
-use crate::shared::{isolate, say_skipped};
-
-/// Time that suffices on any computer that is merely busy.
-const PATIENCE: Duration = Duration::from_secs(600);
+use crate::shared::{PATIENCE, isolate, say_skipped};
 
 /// Time after which a program that has ended shows nothing more.
 const ENDED: Duration = Duration::from_secs(5);

@@ -18,9 +18,7 @@ use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
 
 use crate::busy_computer::in_real_time;
 use crate::program::{ServedQube, program};
-
-/// Time that suffices on any computer that is merely busy.
-const PATIENCE: Duration = Duration::from_secs(600);
+use crate::shared::PATIENCE;
 
 const CTRL_Z: u8 = 26;
 

@@ -9,12 +9,11 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::busy_computer::in_real_time;
 use crate::program::{ServedQube, program};
+use crate::shared::PATIENCE;
 
 /// Time of the board after which it ignores each disarm, s. The first rollout has begun by then and
 /// lasts longer. If homing is that late, its own disarm is ignored, with the same end.
 const IGNORED_AFTER_S: f64 = 6.0;
-
-const PATIENCE: Duration = Duration::from_secs(600);
 
 /// Arguments of the commands that make rollouts, each into the folder `out`.
 const COMMANDS: [&[&str]; 3] = [

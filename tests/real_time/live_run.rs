@@ -13,9 +13,7 @@ use qube_hil::telemetry::Ending;
 
 use crate::busy_computer::in_real_time;
 use crate::program::program;
-
-/// Limit for a hang, which no busy computer reaches.
-const PATIENCE: Duration = Duration::from_secs(600);
+use crate::shared::PATIENCE;
 
 /// A command with a live view, and the host of its address.
 struct Watched {

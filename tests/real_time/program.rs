@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::shared::command_in;
+use crate::shared::{PATIENCE, command_in};
 
 /// A command that runs the program with these arguments in a folder; see [`command_in`].
 pub fn program(directory: &Path, arguments: &[&str]) -> Command {
@@ -27,7 +27,7 @@ impl ServedQube {
         let qube = Self(child);
         let begun = Instant::now();
         while !directory.join("qube").exists() {
-            assert!(begun.elapsed() < Duration::from_secs(600), "no emulated Qube");
+            assert!(begun.elapsed() < PATIENCE, "no emulated Qube");
             std::thread::sleep(Duration::from_millis(5));
         }
         qube

@@ -1,9 +1,9 @@
 //! An adversary, written by a person who knew only the promise of foresight and the public
 //! functions.
 //!
-//! A scenario determines the kind of attack of a seed; an optimiser searches the genes with which
-//! the arm comes closest to its true stop. Every episode uses the library's `drive` and `Tick` in
-//! virtual time and can be repeated bit for bit.
+//! Each seed gives a [`Scenario`], the kind of attack. An optimiser then searches the parameters of
+//! this attack (its genes) that bring the arm closest to its true stop. Every episode uses the
+//! library's `drive` and `Tick` in virtual time and can be repeated bit for bit.
 
 mod attacker;
 mod beliefs;

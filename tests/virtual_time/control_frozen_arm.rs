@@ -63,6 +63,7 @@ fn a_freeze_in_a_swing_is_found_within_300_ms() {
 
 #[test]
 fn an_arm_that_friction_holds_against_a_swinging_pendulum_is_not_frozen() {
+    // Four times the Coulomb torque of `lab`, 4.7e-4 N m.
     let sticky = Nonidealities { coulomb_torque_n_m: 4.0 * 4.7e-4, ..Nonidealities::default() };
     for nonidealities in [Nonidealities::default(), sticky] {
         for alpha in [0.0, 0.2, 0.5, 1.0, 2.0, 3.0, 3.1] {
@@ -74,7 +75,8 @@ fn an_arm_that_friction_holds_against_a_swinging_pendulum_is_not_frozen() {
     }
 }
 
-/// Whole rollouts that mostly balance quietly, where only the asking push finds the freeze.
+/// Runs whole rollouts. Most of them balance quietly, so that only the asking push finds the
+/// freeze.
 #[test]
 fn a_freeze_anywhere_in_a_rollout_is_found_within_300_ms_and_a_healthy_qube_is_left_alone() {
     for (qube, settings) in qubes() {

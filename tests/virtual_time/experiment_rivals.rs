@@ -32,8 +32,8 @@ fn rows_of(methods: &str, budgets: &str) -> (tempfile::TempDir, Vec<String>) {
     (folder, models.iter().map(|row| row["model"].as_str().unwrap().to_owned()).collect())
 }
 
-/// The first policy that was made for a budget of a method's run.
-fn judged(run: &Path, budget: &str) -> Vec<u8> {
+/// The first policy that scores a method's recommendation at a budget.
+fn policy_at_budget(run: &Path, budget: &str) -> Vec<u8> {
     std::fs::read(run.join("judged").join(budget).join("000/policy.safetensors")).unwrap()
 }
 
@@ -51,8 +51,8 @@ fn a_rival_learns_from_a_rollout_of_its_first_policy_and_has_one_at_each_budget(
     let belief = std::fs::read_to_string(run.join("belief-1.json")).unwrap();
     assert!(belief.contains("gaussian"), "{belief}");
     // The two budgets have policies of their own, and the first one made the rollout.
-    assert_ne!(judged(&run, "000"), judged(&run, "001"));
-    assert!(recorded(&run, 0) == judged(&run, "000"), "another policy made the rollout");
+    assert_ne!(policy_at_budget(&run, "000"), policy_at_budget(&run, "001"));
+    assert!(recorded(&run, 0) == policy_at_budget(&run, "000"), "another policy made the rollout");
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn strategy_optimisation_tries_inputs_of_one_policy_and_recommends_the_best() {
     let (folder, rows) = rows_of("so-cma", "0,2");
     assert_eq!(rows, ["so-cma 0", "so-cma 2"]);
     let run = folder.path().join("one/budgets/lab/so-cma/000");
-    let judged = |number| judged(&run, number);
+    let judged = |number| policy_at_budget(&run, number);
     let recorded = |number| recorded(&run, number);
     // The first candidate has the inputs of the prior's mean, which are also recommended without a
     // rollout. The recommendation after two rollouts is one of the two candidates.

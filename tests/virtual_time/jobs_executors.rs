@@ -19,7 +19,7 @@ use qube_hil::simulation::DomainDistribution;
 use qube_hil::storage::{Disk, DiskFile, Existing, FolderLock, MachineDisk};
 
 use crate::folders::files_of;
-use crate::shared::command_in;
+use crate::shared::{PATIENCE, command_in};
 
 const TINY: &str = "name = \"tiny\"\nmodel = \"nominal\"\n[settings.training]\nupdates = 2\nnum_envs = 16\n\
                     epochs = 1\nevaluation_starts = 16\n";
@@ -184,9 +184,6 @@ struct SlowRemoval {
 }
 
 const SLOW: Duration = Duration::from_millis(300);
-
-/// Limit for a hang, which no busy computer reaches.
-const PATIENCE: Duration = Duration::from_secs(600);
 
 fn is_job(path: &Path) -> bool {
     path.parent().is_some_and(|folder| folder.ends_with("jobs"))

@@ -20,10 +20,7 @@ use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
 use qube_hil::storage::MachineDisk;
 
-use crate::shared::command_in;
-
-/// Limit for a hang, which no busy computer reaches.
-const PATIENCE: Duration = Duration::from_secs(600);
+use crate::shared::{PATIENCE, command_in};
 
 /// Trainings of about `updates` tenths of a second.
 fn jobs(count: u64, updates: u32) -> Vec<TrainingJob> {

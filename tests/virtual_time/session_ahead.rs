@@ -15,6 +15,7 @@ use qube_hil::session::{
 };
 
 use crate::folders::files_of;
+use crate::shared::PATIENCE;
 
 fn settings(pending: u32) -> SessionSettings {
     let mut settings = SessionSettings::quick();
@@ -133,11 +134,11 @@ struct Holding {
     ended: Arc<AtomicU64>,
 }
 
-/// Waits until a counter has reached a value; fails with the reason `late` after ten minutes.
+/// Waits until a counter has reached a value; fails with the reason `late` after [`PATIENCE`].
 fn wait_for(counter: &AtomicU64, value: u64, late: &str) {
     let begun = Instant::now();
     while counter.load(Ordering::SeqCst) < value {
-        assert!(begun.elapsed() < Duration::from_secs(600), "{late}");
+        assert!(begun.elapsed() < PATIENCE, "{late}");
         std::thread::sleep(Duration::from_millis(5));
     }
 }

@@ -9,7 +9,7 @@ use crate::program::program;
 
 const SMALL: &str = "seed = 5\nstrategy = \"random\"\n\
     [extent]\ninitial_candidates = 3\niterations = 1\nrollouts = 1\nverification_rollouts = 2\n\
-    [training]\nupdates = 2\npendulums = 16\nepochs = 1\n";
+    [training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
 
 fn session(directory: &Path, arguments: &[&str]) -> Value {
     let mut command = program(directory);

@@ -24,7 +24,7 @@ fn small(updates: u32) -> String {
     format!(
         "seed = 5\n\
          [extent]\ninitial_candidates = 3\niterations = 2\nrollouts = 2\nverification_rollouts = 2\n\
-         [training]\nupdates = {updates}\npendulums = 16\nepochs = 1\n"
+         [training]\nupdates = {updates}\nnum_envs = 16\nepochs = 1\n"
     )
 }
 

@@ -11,6 +11,8 @@ use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::qube::Measurement;
 use qube_hil::rig::{Connect, TimedDevice};
 
+use crate::shared::PATIENCE;
+
 /// An emulated Qube in the test's own virtual time.
 #[derive(Clone, Debug)]
 pub struct Timed {
@@ -33,10 +35,10 @@ pub struct AwaitedDoubt {
 }
 
 impl AwaitedDoubt {
-    /// Waits for it for at most ten minutes, because another thread stores it.
+    /// Waits for it for at most [`PATIENCE`], because another thread stores it.
     fn wait(&self) {
         let begun = Instant::now();
-        while !has_files(&self.doubts) && begun.elapsed() < Duration::from_secs(600) {
+        while !has_files(&self.doubts) && begun.elapsed() < PATIENCE {
             std::thread::sleep(Duration::from_millis(1));
         }
         self.has_come.store(has_files(&self.doubts), Ordering::Relaxed);
