@@ -13,11 +13,11 @@ mod calm;
 mod prediction;
 #[cfg(test)]
 mod tests;
-mod velocity_age;
+mod velocity_quality;
 
 use calm::CalmLanes;
 pub use prediction::Prediction;
-use velocity_age::VelocityAge;
+use velocity_quality::VelocityQuality;
 
 use super::{BrakeLaw, Particle};
 use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
@@ -48,7 +48,7 @@ pub struct Foresight<B> {
     ends: Ends,
     horizon: PredictionHorizon,
     filter: FilterGains<f32>,
-    velocity_age: VelocityAge,
+    velocity_quality: VelocityQuality,
     velocity_error_power: u32,
     /// Number of particles, without the copies that fill the last group.
     count: usize,
@@ -142,13 +142,13 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
         let seen = vec![State::all(&at_rest); qubes.len()];
         let filter = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S).cast();
         let level = Level::best();
-        let velocity_age = VelocityAge::after(1, &filter, 0);
+        let velocity_quality = VelocityQuality::after(1, &filter, 0);
         Self {
             brake,
             ends,
             horizon,
             filter,
-            velocity_age,
+            velocity_quality,
             velocity_error_power: 0,
             count,
             particles,
@@ -173,16 +173,17 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     }
 
     /// Sets the number of control periods between the last two samples, which is 1 unless samples
-    /// were lost. Estimated velocities are differences of angles, so they are older and less exact
-    /// where more samples were lost.
+    /// were lost. Estimated velocities are differences of angles, so they lag more and are less
+    /// exact where more samples were lost.
     pub fn sampled_after(&mut self, periods: u32) {
-        self.velocity_age = VelocityAge::after(periods, &self.filter, self.velocity_error_power);
+        self.velocity_quality =
+            VelocityQuality::after(periods, &self.filter, self.velocity_error_power);
     }
 
     /// Takes the velocities of the last sample to be as exact as any, until the next
     /// [`Self::sampled_after`].
     pub fn trust_velocities(&mut self) {
-        self.velocity_age.error_factor = 1.0;
+        self.velocity_quality.error_factor = 1.0;
     }
 
     /// The nearer of the two ends, rad from the middle.
@@ -220,7 +221,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
             ends: self.ends,
             horizon: self.horizon,
             filter: &self.filter,
-            velocity_age: self.velocity_age,
+            velocity_quality: self.velocity_quality,
             count: self.count,
             particles: &self.particles,
             qubes: &mut self.qubes,
@@ -287,7 +288,7 @@ struct Trial<'a, B> {
     ends: Ends,
     horizon: PredictionHorizon,
     filter: &'a FilterGains<f32>,
-    velocity_age: VelocityAge,
+    velocity_quality: VelocityQuality,
     count: usize,
     particles: &'a [ParticleLanes],
     qubes: &'a mut [QubeLanes],
@@ -303,7 +304,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> Outlook {
         let Self { brake, ends, horizon, filter, count, particles, qubes, seen, .. } = self;
-        let Self { velocity_age, state, sent_v, voltage_v, .. } = self;
+        let Self { velocity_quality, state, sent_v, voltage_v, .. } = self;
         let (groups, _) = qubes.as_chunks_mut::<GROUP>();
         let (seen_groups, _) = seen.as_chunks_mut::<GROUP>();
         let (particle_groups, _) = particles.as_chunks::<GROUP>();
@@ -321,7 +322,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
                     &state,
                     &sent_v,
                     &first_v,
-                    velocity_age,
+                    velocity_quality,
                 );
                 narrow(&mut clearances[block], &qubes[block], &ends);
             }
@@ -380,7 +381,7 @@ impl<B: BrakeLaw> VectorKernel for Trial<'_, B> {
 /// Starts a block from the estimated state plus each particle's error, with the last commands still
 /// on their way.
 ///
-/// An estimated velocity is older than its angle. The acceleration of each particle under the
+/// An estimated velocity lags behind its angle. The acceleration of each particle under the
 /// voltage that was at its motor brings the velocity up to date.
 #[inline(always)]
 fn resume(
@@ -389,7 +390,7 @@ fn resume(
     state: &State<f32>,
     sent_v: &[f32; MAX_HISTORY],
     first_v: &Lanes,
-    VelocityAge { lag_s, error_factor }: VelocityAge,
+    VelocityQuality { lag_s, error_factor }: VelocityQuality,
 ) {
     let mut states = particles.error;
     for lane in 0..BLOCK {

@@ -4,7 +4,7 @@
 )]
 
 use super::super::{Contradiction, PredictedAngle};
-use super::{Foresight, ParticleLanes, VelocityAge, resume};
+use super::{Foresight, ParticleLanes, VelocityQuality, resume};
 use crate::elementary::{InstructionSet, Level, VectorKernel, dispatch_at};
 use crate::estimation::FilterGains;
 use crate::qube::{BLOCK, CONTROL_PERIOD_S, MAX_HISTORY, QubeLanes, SUBSTEPS, State};
@@ -34,7 +34,7 @@ pub struct Prediction {
     particles: Vec<ParticleLanes>,
     qubes: Vec<QubeLanes>,
     filter: FilterGains<f32>,
-    velocity_age: VelocityAge,
+    velocity_quality: VelocityQuality,
     velocity_error_power: u32,
     level: Level,
     /// The current run of the particles; `None` before the first sample.
@@ -63,7 +63,7 @@ impl Prediction {
             particles: foresight.particles.clone(),
             qubes: foresight.qubes.clone(),
             filter: foresight.filter,
-            velocity_age: foresight.velocity_age,
+            velocity_quality: foresight.velocity_quality,
             velocity_error_power: foresight.velocity_error_power,
             level: foresight.level,
             run: None,
@@ -80,7 +80,8 @@ impl Prediction {
     /// Sets the number of control periods between the last two samples, as
     /// [`Foresight::sampled_after`] does.
     pub fn sampled_after(&mut self, periods: u32) {
-        self.velocity_age = VelocityAge::after(periods, &self.filter, self.velocity_error_power);
+        self.velocity_quality =
+            VelocityQuality::after(periods, &self.filter, self.velocity_error_power);
     }
 
     /// Restarts the particles at the next sample, because its angles may be counted from another
@@ -137,9 +138,9 @@ impl Prediction {
             both.into_iter().flatten().max_by(|a, b| distance(a).total_cmp(&distance(b)))
         });
         if contradiction.is_some() || self.run.is_none_or(|run| run.periods >= WINDOW_PERIODS) {
-            let Self { particles, qubes, velocity_age, level, .. } = &mut *self;
-            let (velocity_age, state) = (*velocity_age, state.cast());
-            dispatch_at(*level, Begin { particles, qubes, velocity_age, state, sent_v });
+            let Self { particles, qubes, velocity_quality, level, .. } = &mut *self;
+            let (velocity_quality, state) = (*velocity_quality, state.cast());
+            dispatch_at(*level, Begin { particles, qubes, velocity_quality, state, sent_v });
             self.run = Some(Run { since_us: device_time_us, periods: 0 });
         }
         contradiction
@@ -150,7 +151,7 @@ impl Prediction {
 struct Begin<'a> {
     particles: &'a [ParticleLanes],
     qubes: &'a mut [QubeLanes],
-    velocity_age: VelocityAge,
+    velocity_quality: VelocityQuality,
     state: State<f32>,
     sent_v: &'a [f32; MAX_HISTORY],
 }
@@ -160,10 +161,10 @@ impl VectorKernel for Begin<'_> {
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) {
-        let Self { particles, qubes, velocity_age, state, sent_v } = self;
+        let Self { particles, qubes, velocity_quality, state, sent_v } = self;
         for (qubes, particles) in qubes.iter_mut().zip(particles) {
             let first_v = particles.arriving(&[sent_v[0]; BLOCK]);
-            resume(qubes, particles, &state, sent_v, &first_v, velocity_age);
+            resume(qubes, particles, &state, sent_v, &first_v, velocity_quality);
         }
     }
 }

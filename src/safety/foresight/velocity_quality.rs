@@ -1,21 +1,22 @@
 use crate::estimation::FilterGains;
 use crate::qube::CONTROL_PERIOD_S;
 
-/// Age of an estimated velocity, and the factor by which that age enlarges the velocity's error.
+/// Lag of an estimated velocity behind the angles, and the factor by which lost samples enlarge its
+/// error.
 ///
-/// An estimated velocity is a filtered difference of angles, so it lags. It is older, and its error
-/// is larger, where samples were lost.
+/// An estimated velocity is a filtered difference of angles, so it lags. The lag and the error are
+/// larger where samples were lost.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct VelocityAge {
+pub(super) struct VelocityQuality {
     /// Lag behind the angles, s.
     pub lag_s: f32,
     /// Factor on the velocity errors of the particles, which hold for consecutive samples.
     pub error_factor: f32,
 }
 
-impl VelocityAge {
-    /// The age if the last two samples are this many control periods apart, from 1 to
-    /// `MAX_PERIODS`, and all earlier ones one period. The errors grow with the power `error_power`
+impl VelocityQuality {
+    /// The quality if the last two samples are this many control periods apart, from 1 to
+    /// `MAX_PERIODS`, and all earlier ones one period. The error grows with the power `error_power`
     /// of that number.
     pub fn after(periods: u32, filter: &FilterGains<f32>, error_power: u32) -> Self {
         let periods = periods.clamp(1, MAX_PERIODS);
@@ -24,12 +25,13 @@ impl VelocityAge {
     }
 }
 
-/// Number of control periods above which an age grows no further; the guard ends a rollout long
-/// before.
+/// Number of control periods above which lag and error grow no further; the guard ends a rollout
+/// long before.
 const MAX_PERIODS: u32 = 100;
 
-/// A difference of two angles lags by half the time between them; the filter's memory of earlier
-/// differences adds the rest.
+/// Lag of the filtered velocity behind the angles, s, if the last two samples are `periods` apart.
+/// The new difference lags by half that time and has the weight 1 - decay^periods; the filter's
+/// earlier output is older by the whole time and has the weight decay^periods.
 fn lag_s(filter: &FilterGains<f32>, periods: u32) -> f32 {
     let regular_s = CONTROL_PERIOD_S as f32 * (0.5 + filter.decay / (1.0 - filter.decay));
     if periods == 1 {
@@ -45,9 +47,9 @@ mod tests {
     use crate::estimation::GUARD_CORNER_RAD_S;
 
     #[test]
-    fn a_velocity_is_older_and_less_exact_after_lost_samples() {
+    fn a_velocity_lags_more_and_is_less_exact_after_lost_samples() {
         let filter = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S).cast();
-        let after = |periods, power| VelocityAge::after(periods, &filter, power);
+        let after = |periods, power| VelocityQuality::after(periods, &filter, power);
         assert_eq!(after(0, 2), after(1, 2));
         assert_eq!([1, 2, 4].map(|periods| after(periods, 2).error_factor), [1.0, 4.0, 16.0]);
         assert_eq!(after(4, 0).error_factor, 1.0);
