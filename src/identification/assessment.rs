@@ -314,8 +314,8 @@ fn named(check: &Fit<'_>, residuals: f64, noise_ratio: f64) -> Option<MissingEff
     (score > SIGNIFICANT && score > NAMED_SHARE * excess).then_some(match effect {
         Effect::Reversals => MissingEffect::Reversals,
         Effect::Warming => MissingEffect::Warming,
-        Effect::Angle => MissingEffect::Angle,
-        Effect::Direction => MissingEffect::Direction,
+        Effect::EncoderEccentricity => MissingEffect::Angle,
+        Effect::AsymmetricDamping => MissingEffect::Direction,
         Effect::Play => MissingEffect::Play,
     })
 }

@@ -25,24 +25,32 @@ pub(super) enum Effect {
     /// A motor whose torque changes in proportion to the time since the recording's start.
     Warming,
     /// An error of the arm's encoder that is periodic in the arm's angle.
-    Angle,
-    /// A torque of one sign, in proportion to the arm's speed in either direction.
-    Direction,
+    EncoderEccentricity,
+    /// Damping that differs between the arm's two directions: a torque of one sign, in proportion
+    /// to |theta_dot|.
+    AsymmetricDamping,
     /// Play between motor and arm: where the torque between them changes its sign, the motor turns
     /// alone for a moment, and an encoder on its side is ahead of the arm by half the play.
     Play,
 }
 
 impl Effect {
-    /// All effects in the order of their columns: those on the motor, then those on the encoder.
-    pub const ALL: [Self; 5] =
-        [Self::Reversals, Self::Warming, Self::Direction, Self::Play, Self::Angle];
+    /// All effects in the order of their columns: `Play` is the last effect on the motor and the
+    /// encoder's eccentricity the last of all, because [`columns_of`] writes the encoder columns of
+    /// both after those of the disturbed voltages.
+    pub const ALL: [Self; 5] = [
+        Self::Reversals,
+        Self::Warming,
+        Self::AsymmetricDamping,
+        Self::Play,
+        Self::EncoderEccentricity,
+    ];
 
     /// Number of columns that describe the effect in the linear regression of the residuals.
     fn columns(self) -> usize {
         match self {
-            Self::Reversals | Self::Angle | Self::Play => 2,
-            Self::Warming | Self::Direction => 1,
+            Self::Reversals | Self::EncoderEccentricity | Self::Play => 2,
+            Self::Warming | Self::AsymmetricDamping => 1,
         }
     }
 
@@ -51,12 +59,12 @@ impl Effect {
     fn disturbances(self, samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<f64>> {
         let delay_s = model.nonidealities.command_delay_s;
         match self {
-            Self::Angle => Vec::new(),
+            Self::EncoderEccentricity => Vec::new(),
             Self::Warming => {
                 let start_s = samples[0].time_s;
                 vec![samples.iter().map(|s| s.voltage_v * (s.time_s - start_s)).collect()]
             }
-            Self::Direction => {
+            Self::AsymmetricDamping => {
                 let speeds: Vec<f64> = samples
                     .windows(2)
                     .map(|pair| {
@@ -64,25 +72,25 @@ impl Effect {
                         moved.abs() / (pair[1].time_s - pair[0].time_s)
                     })
                     .collect();
-                vec![before_arrival(samples, &speeds, delay_s)]
+                vec![values_at_arrival(samples, &speeds, delay_s)]
             }
             Self::Play => {
                 let pushes_v = pushes_v(samples, model);
                 let lost = |pair: &[f64]| if pair[0] * pair[1] < 0.0 { -pair[1] } else { 0.0 };
                 let lost_v: Vec<f64> =
                     std::iter::once(0.0).chain(pushes_v.windows(2).map(lost)).collect();
-                vec![before_arrival(samples, &lost_v, delay_s)]
+                vec![values_at_arrival(samples, &lost_v, delay_s)]
             }
             Self::Reversals => BUILD_UPS_RAD
-                .map(|angle_rad| before_arrival(samples, &built_up(samples, angle_rad), delay_s))
+                .map(|angle_rad| values_at_arrival(samples, &built_up(samples, angle_rad), delay_s))
                 .to_vec(),
         }
     }
 }
 
-/// For each sample the entry of `values` at the time at which the sample's command reaches the
-/// motor, so that a disturbance of that command acts at this time.
-fn before_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec<f64> {
+/// For each sample, the entry of `values` at the time at which this sample's command reaches the
+/// motor. A disturbance that is added to the command then acts at that time.
+fn values_at_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec<f64> {
     let last = values.len().saturating_sub(1);
     let at = |sample: &MotionSample| {
         let acts = samples.partition_point(|later| later.time_s < sample.time_s + delay_s);
@@ -94,15 +102,15 @@ fn before_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec
 /// The torque that the motor passes on to the arm at each sample, as a voltage, V: the command that
 /// acts, less dead zones, friction and the voltage that the arm's speed induces.
 fn pushes_v(samples: &[MotionSample], model: &QubeModel) -> Vec<f64> {
-    let (parameters, gap) = (&model.parameters, &model.nonidealities);
-    let friction_v =
-        gap.coulomb_torque_n_m * parameters.motor_resistance_ohm / parameters.motor_back_emf_v_s;
+    let (parameters, nonidealities) = (&model.parameters, &model.nonidealities);
+    let friction_v = nonidealities.coulomb_torque_n_m * parameters.motor_resistance_ohm
+        / parameters.motor_back_emf_v_s;
     let one = |sample: &MotionSample| {
-        let acting_s = sample.time_s - gap.command_delay_s;
+        let acting_s = sample.time_s - nonidealities.command_delay_s;
         let sent = samples.partition_point(|it| it.time_s <= acting_s + 1e-9);
         let voltage_v = samples[sent.saturating_sub(1)].voltage_v;
-        let above = (voltage_v - gap.positive_dead_zone_v).max(0.0);
-        let below = (voltage_v + gap.negative_dead_zone_v).min(0.0);
+        let above = (voltage_v - nonidealities.positive_dead_zone_v).max(0.0);
+        let below = (voltage_v + nonidealities.negative_dead_zone_v).min(0.0);
         let speed_rad_s = sample.state.theta_dot;
         let induced_v = parameters.motor_back_emf_v_s * speed_rad_s;
         above + below - induced_v - friction_v * speed_rad_s.signum()
@@ -126,69 +134,87 @@ fn built_up(samples: &[MotionSample], angle_rad: f64) -> Vec<f64> {
 }
 
 /// For each effect the reduction of the sum of squared residuals when the effect joins the model,
-/// in units of the residual variance; unknowns and start states adapt to the effect. Where the
-/// model holds, the reduction has a chi-squared distribution with as many degrees of freedom as the
-/// effect has columns.
-pub(super) fn scores(check: &Fit<'_>) -> Vec<(Effect, f64)> {
-    let unknowns = check.unknowns.len();
-    let columns: usize = Effect::ALL.iter().map(|effect| effect.columns()).sum();
-    let size = unknowns + columns + 1;
+/// in units of the residual variance; unknowns and start states adapt to the effect. `fit` is the
+/// fit over short windows, with start states fitted anew. Where the model holds, the reduction has
+/// a chi-squared distribution with as many degrees of freedom as the effect has columns.
+pub(super) fn scores(fit: &Fit<'_>) -> Vec<(Effect, f64)> {
+    let size = columns(fit);
     let mut squares = DMatrix::<f64>::zeros(size, size);
-    let simulated = simulated(check);
-    let mut disturbed: Vec<Option<Disturbed>> = vec![None; check.offsets.len()];
+    let simulated = simulated(fit);
+    let mut disturbed: Vec<Option<Disturbed>> = vec![None; fit.offsets.len()];
     let mut count = 0.0;
-    for (((stretch, &start), &recording), base) in
-        check.stretches.iter().zip(&check.starts).zip(&check.recording).zip(&simulated)
-    {
-        let model = check.offsets[recording].applied(&check.model);
+    for (index, stretch) in fit.stretches.iter().enumerate() {
+        let recording = fit.recording[index];
         let disturbed = disturbed[recording].get_or_insert_with(|| {
-            let pairs = check.stretches.iter().zip(&simulated);
+            let pairs = fit.stretches.iter().zip(&simulated);
             let own = pairs.filter(|(other, _)| other.is_beside(stretch));
+            let model = fit.offsets[recording].applied(&fit.model);
             Disturbed::of(&with_simulated_states(stretch.recording, own), &model)
         });
-        let (mut residuals, slopes) =
-            linearised(stretch, check.unknowns, check.plant, &model, start, [1.0, 1.0]);
-        // The recorded angles of the pendulum contain the error of their zero.
-        let zero_rad = check.offsets[recording].alpha_zero_rad;
-        residuals.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad);
-        // Columns: the unknowns, the effects in the order of [`Effect::ALL`], the residuals.
-        let mut all = DMatrix::<f64>::zeros(residuals.len(), size);
-        all.columns_mut(0, unknowns).copy_from(&slopes.columns(0, unknowns));
-        let mut column = unknowns;
-        for copy in &disturbed.copies {
-            let states = Stretch { recording: copy, ..*stretch }.simulate(&model, start);
-            for (row, (moved, unmoved)) in states.iter().zip(base).enumerate() {
-                all[(2 * row, column)] = (moved.theta - unmoved.theta) / DISTURBANCE_V;
-                all[(2 * row + 1, column)] = (moved.alpha - unmoved.alpha) / DISTURBANCE_V;
-            }
-            column += 1;
-        }
-        for (row, push_v) in disturbed.pushes_v[stretch.range()].iter().enumerate() {
-            all[(2 * row, column)] = push_v.signum();
+        let all = columns_of(fit, index, &simulated[index], disturbed);
+        squares += all.tr_mul(&all);
+        count += (all.nrows() - STARTS.min(all.nrows())) as f64;
+    }
+    reductions(fit, &squares, count)
+}
+
+/// Number of columns of a fit: its unknowns, the effects in the order of [`Effect::ALL`], and the
+/// residuals.
+fn columns(fit: &Fit<'_>) -> usize {
+    fit.unknowns.len() + Effect::ALL.iter().map(|effect| effect.columns()).sum::<usize>() + 1
+}
+
+/// The columns of the stretch with this index: unknowns, effects, residuals, each without the part
+/// that a change of the start state explains. `simulated` contains the states of the stretch
+/// without effects.
+fn columns_of(
+    fit: &Fit<'_>,
+    index: usize,
+    simulated: &[State],
+    disturbed: &Disturbed,
+) -> DMatrix<f64> {
+    let (stretch, start) = (&fit.stretches[index], fit.starts[index]);
+    let offset = &fit.offsets[fit.recording[index]];
+    let model = offset.applied(&fit.model);
+    let unknowns = fit.unknowns.len();
+    let (mut residuals, slopes) =
+        linearised(stretch, fit.unknowns, fit.plant, &model, start, [1.0, 1.0]);
+    // The recorded angles of the pendulum contain the error of their zero.
+    let zero_rad = offset.alpha_zero_rad;
+    residuals.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad);
+    let mut all = DMatrix::<f64>::zeros(residuals.len(), columns(fit));
+    all.columns_mut(0, unknowns).copy_from(&slopes.columns(0, unknowns));
+    let mut column = unknowns;
+    for copy in &disturbed.copies {
+        let states = Stretch { recording: copy, ..*stretch }.simulate(&model, start);
+        for (row, (moved, unmoved)) in states.iter().zip(simulated).enumerate() {
+            all[(2 * row, column)] = (moved.theta - unmoved.theta) / DISTURBANCE_V;
+            all[(2 * row + 1, column)] = (moved.alpha - unmoved.alpha) / DISTURBANCE_V;
         }
         column += 1;
-        // An error that is periodic in the arm's angle is a sum of the angle's sine and cosine.
-        for (row, state) in base.iter().enumerate() {
-            let (sin, cos) = state.theta.sin_cos();
-            (all[(2 * row, column)], all[(2 * row, column + 1)]) = (sin, cos);
-        }
-        all.set_column(size - 1, &residuals);
-        // The part that a change of the start state explains is removed from every column.
-        let starts = slopes.columns(unknowns, STARTS).into_owned();
-        if let Some(inverse) = starts.tr_mul(&starts).try_inverse() {
-            all -= &starts * (inverse * starts.tr_mul(&all));
-        }
-        squares += all.tr_mul(&all);
-        count += (residuals.len() - STARTS.min(residuals.len())) as f64;
     }
-    reductions(check, &squares, count)
+    for (row, push_v) in disturbed.pushes_v[stretch.range()].iter().enumerate() {
+        all[(2 * row, column)] = push_v.signum();
+    }
+    column += 1;
+    // An error that is periodic in the arm's angle is a sum of the angle's sine and cosine.
+    for (row, state) in simulated.iter().enumerate() {
+        let (sin, cos) = state.theta.sin_cos();
+        (all[(2 * row, column)], all[(2 * row, column + 1)]) = (sin, cos);
+    }
+    all.set_column(column + 2, &residuals);
+    let starts = slopes.columns(unknowns, STARTS).into_owned();
+    if let Some(inverse) = starts.tr_mul(&starts).try_inverse() {
+        all -= &starts * (inverse * starts.tr_mul(&all));
+    }
+    all
 }
 
 /// The states of each stretch, simulated from its start state.
-fn simulated(check: &Fit<'_>) -> Vec<Vec<State>> {
-    let pieces = check.stretches.iter().zip(&check.starts).zip(&check.recording);
+fn simulated(fit: &Fit<'_>) -> Vec<Vec<State>> {
+    let pieces = fit.stretches.iter().zip(&fit.starts).zip(&fit.recording);
     let one = |((stretch, &start), &recording): ((&Stretch<'_>, &State), &usize)| {
-        stretch.simulate(&check.offsets[recording].applied(&check.model), start)
+        stretch.simulate(&fit.offsets[recording].applied(&fit.model), start)
     };
     pieces.map(one).collect()
 }
@@ -237,8 +263,8 @@ impl Disturbed {
 /// The reduction by each effect. `squares` contains the products of all columns with each other:
 /// those of the unknowns, of the effects, and of the residuals. `count` is the number of residuals
 /// minus the number of entries of the start states.
-fn reductions(check: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effect, f64)> {
-    let unknowns = check.unknowns.len();
+fn reductions(fit: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effect, f64)> {
+    let unknowns = fit.unknowns.len();
     let size = squares.nrows();
     let variance = squares[(size - 1, size - 1)] / count.max(1.0);
     let mut first = unknowns;
@@ -254,8 +280,8 @@ fn reductions(check: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effec
                 squares[(kept[row], kept[column])]
             });
             // The prior of each unknown counts like one more residual.
-            for (index, unknown) in check.unknowns.iter().enumerate() {
-                matrix[(index, index)] += variance / unknown.prior(check.plant).std.powi(2);
+            for (index, unknown) in fit.unknowns.iter().enumerate() {
+                matrix[(index, index)] += variance / unknown.prior(fit.plant).std.powi(2);
             }
             let right = DVector::from_fn(kept.len(), |row, _| squares[(kept[row], size - 1)]);
             matrix.cholesky().map_or(0.0, |matrix| right.dot(&matrix.solve(&right)))
