@@ -16,9 +16,9 @@ pub enum PsiError {
         /// Names of the expected entries.
         expected: String,
     },
-    /// A value is outside the box, or not a number.
+    /// A value is outside its dimension's range, or not a number.
     #[error("{name} = {value} is outside its range: give a value from {lower} to {upper}")]
-    OutsideTheBox {
+    OutOfRange {
         /// Name of the dimension.
         name: String,
         /// Value given.

@@ -8,12 +8,13 @@ use super::psi_dimension::DimensionAfter;
 use super::{Psi, PsiDimension, PsiError, PsiTarget};
 use crate::qube::PlantModel;
 
-/// The thesis's eight dimensions (table 5.2): mean and standard deviation of each mass and length.
+/// The eight dimensions of Eilers 2019, table 5.2 (the thesis): mean and standard deviation of each
+/// mass and length.
 const THESIS: [&str; 8] =
     ["mean_M_p", "std_M_p", "mean_M_r", "std_M_r", "mean_L_p", "std_L_p", "mean_L_r", "std_L_r"];
 
-/// The search space of psi: its dimensions, each with its range. A point of the space has one entry
-/// for each dimension, in this order and in the unit of the dimension's target.
+/// The search space of psi. Each dimension is the range of one entry of psi. A point of the space
+/// has one entry for each dimension, in this order and in the unit of the dimension's target.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(into = "Vec<PsiDimension>")]
 pub struct PsiSpace {
@@ -46,8 +47,8 @@ impl PsiSpace {
         Self::new(dimensions.collect::<Result<_, _>>()?)
     }
 
-    /// The thesis's space: mean and standard deviation of each mass and length, with the ranges of
-    /// its table 5.2.
+    /// The space of Eilers 2019, table 5.2 (the thesis): mean and standard deviation of each mass
+    /// and length, with the ranges of this table.
     ///
     /// # Panics
     /// Never panics.
@@ -119,15 +120,15 @@ impl PsiSpace {
 
     /// The entries of a point by name.
     #[must_use]
-    pub fn with_names(&self, point: &[f64]) -> BTreeMap<String, f64> {
+    pub fn by_name(&self, point: &[f64]) -> BTreeMap<String, f64> {
         self.names().zip(point.iter().copied()).collect()
     }
 
     /// The psi at a point.
     ///
     /// # Errors
-    /// The point has not one entry for each dimension or lies outside the box, or a value is not
-    /// physical.
+    /// The point has not one entry for each dimension, or a value lies outside its dimension's
+    /// range or is not physical.
     pub fn psi(&self, point: &[f64]) -> Result<Psi, PsiError> {
         if point.len() != self.dimensions.len() {
             return Err(PsiError::WrongLength {
@@ -138,7 +139,7 @@ impl PsiSpace {
         for (&PsiDimension { target, lower, upper }, &value) in self.dimensions.iter().zip(point) {
             if !(lower..=upper).contains(&value) {
                 let name = target.to_string();
-                return Err(PsiError::OutsideTheBox { name, value, lower, upper });
+                return Err(PsiError::OutOfRange { name, value, lower, upper });
             }
         }
         let targets = self.dimensions.iter().map(|dimension| dimension.target);
@@ -164,7 +165,7 @@ impl<'de> Visitor<'de> for SpaceVisitor {
     type Value = PsiSpace;
 
     fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str("a list of entries of psi")
+        formatter.write_str("a list of tables, each with the name and range of one entry of psi")
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut entries: A) -> Result<PsiSpace, A::Error> {
@@ -187,7 +188,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_ends_of_the_box_belong_to_it_and_what_is_beyond_is_named() {
+    fn both_ends_of_a_range_are_accepted_and_a_value_outside_is_refused_with_its_name() {
         let space = PsiSpace::thesis();
         assert!(space.psi(&space.lower()).is_ok());
         assert!(space.psi(&space.upper()).is_ok());
@@ -209,7 +210,7 @@ mod tests {
         assert!(space.has(PsiTarget::Filter));
         let point = [0.01, 50.0, 1e-4];
         assert_eq!(space.psi(&point).unwrap().filter_corner_rad_s(), Some(50.0));
-        assert_eq!(space.with_names(&point)["mean_delay"], 0.01);
+        assert_eq!(space.by_name(&point)["mean_delay"], 0.01);
         assert!(matches!(PsiSpace::named(&[]), Err(PsiError::NoDimensions)));
         let twice = PsiSpace::named(&["filter", "mean_delay", "filter"]).unwrap_err().to_string();
         assert!(twice.contains("filter"), "{twice}");

@@ -262,7 +262,7 @@ fn valued(psi: &PsiSpace, scored: &ScoredCandidate) -> Value {
     let mut value = json!({
         "candidate": scored.candidate.number,
         "purpose": scored.candidate.purpose,
-        "psi": psi.with_names(&scored.candidate.point),
+        "psi": psi.by_name(&scored.candidate.point),
         "returns": scored.returns(),
         "mean_return": scored.mean_return(),
         "successes": scored.successes(),

@@ -337,7 +337,7 @@ impl Session {
             candidate: Some(number),
             rollout,
             attempt,
-            psi: self.settings.psi.with_names(&candidate.point),
+            psi: self.settings.psi.by_name(&candidate.point),
             seed: self.settings.seed,
             policy,
             estimator: self.settings.estimator,
