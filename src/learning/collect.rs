@@ -10,7 +10,9 @@ use super::network::{LOG_STD, MAX_OBSERVATION_SIZE, Network, WIDTH};
 use super::physics_inputs::PhysicsInputs;
 use super::random::Stream;
 use super::smoothness::SmoothnessFactor;
-use super::transition::{End, ExtraInputs, Observation, Transition, estimate_advantages, inputs};
+use super::transition::{
+    ExtraInputs, Observation, TrajectoryEnd, Transition, estimate_advantages, inputs,
+};
 use crate::elementary::{dispatch, exp, normal_pair};
 use crate::qube::MAX_STEPS;
 use crate::simulation::{DomainDistribution, LaneStatus, Observations, Pendulums, Trajectory};
@@ -25,16 +27,6 @@ pub(super) struct Batch {
     pub trajectories: u32,
     /// The ends of the trajectories, in order of their indices.
     pub ends: Vec<TrajectoryEnd>,
-}
-
-/// The end of a trajectory in a batch.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct TrajectoryEnd {
-    /// Index after the trajectory's last transition.
-    pub end: usize,
-    /// Whether the trajectory left the safety box; if not, the time limit or the end of the batch
-    /// ended it.
-    pub left_box: bool,
 }
 
 /// Collects the transitions of one update with the current networks.
@@ -72,7 +64,7 @@ impl Collector<'_> {
         let trajectories = parts.iter().map(|part| part.trajectories).sum();
         let (mut ends, mut first) = (Vec::new(), 0);
         for part in &parts {
-            let shifted = |own: &TrajectoryEnd| TrajectoryEnd { end: first + own.end, ..*own };
+            let shifted = |own: &TrajectoryEnd| TrajectoryEnd { last: first + own.last, ..*own };
             ends.extend(part.ends.iter().map(shifted));
             first += part.transitions.len();
         }
@@ -134,7 +126,7 @@ impl Collector<'_> {
                 transitions[index].reward =
                     rewards[lane] * explorer.smoothness.factor(voltages_v[lane], weight);
                 let is_last = step + 1 == MAX_STEPS;
-                match statuses[lane] {
+                let left_box = match statuses[lane] {
                     LaneStatus::Running if !is_last => continue,
                     LaneStatus::Running | LaneStatus::TimeUp => {
                         let seen = Observations::new(&observations, width);
@@ -143,10 +135,11 @@ impl Collector<'_> {
                             observation: observation(&seen, lane),
                             extra_inputs: extra_inputs_of(&seen, lane),
                         });
+                        false
                     }
-                    LaneStatus::LeftBox => {}
-                }
-                ends.push(End { index, value_after: 0.0 });
+                    LaneStatus::LeftBox => true,
+                };
+                ends.push(TrajectoryEnd { last: index, left_box, value_after: 0.0 });
                 if !is_last {
                     *explorer = self.explorer(lanes.start + lane, explorer.number + 1);
                     pendulums.restart(lane, &explorer.trajectory);
@@ -155,10 +148,9 @@ impl Collector<'_> {
                 }
             }
         }
-        let trajectory_ends = ends_in_order(&ends, &truncated);
-        self.estimate_values(&mut transitions, &extra_inputs, ends, &truncated);
+        self.estimate_values(&mut transitions, &extra_inputs, &mut ends, &truncated);
         let trajectories = explorers.iter().map(|explorer| u32::from(explorer.number) + 1).sum();
-        Batch { transitions, extra_inputs, trajectories, ends: trajectory_ends }
+        Batch { transitions, extra_inputs, trajectories, ends }
     }
 
     /// Writes the physics inputs of a lane's Qube to their rows, `[input][lanes]`.
@@ -168,12 +160,13 @@ impl Collector<'_> {
         }
     }
 
-    /// Fills in the value, advantage and return of each transition.
+    /// Fills in the value, advantage and return of each transition, and the value after each end;
+    /// puts the ends into the order of their indices.
     fn estimate_values(
         &self,
         transitions: &mut [Transition],
         extra_inputs: &[ExtraInputs],
-        mut ends: Vec<End>,
+        ends: &mut [TrajectoryEnd],
         truncated: &[Truncated],
     ) {
         for (number, block) in transitions.chunks_mut(WIDTH).enumerate() {
@@ -195,9 +188,9 @@ impl Collector<'_> {
                 ends[truncated.place].value_after = value;
             }
         }
-        ends.sort_unstable_by_key(|end| end.index);
+        ends.sort_unstable_by_key(|end| end.last);
         let TrainSettings { discount, gae_lambda, .. } = *self.settings;
-        estimate_advantages(transitions, &ends, discount, gae_lambda);
+        estimate_advantages(transitions, ends, discount, gae_lambda);
     }
 
     fn explorer(&self, lane: usize, number: u16) -> Explorer {
@@ -224,18 +217,6 @@ struct Truncated {
     observation: Observation,
     /// The networks' extra inputs at that instant.
     extra_inputs: ExtraInputs,
-}
-
-/// The ends of trajectories in order of their indices; a trajectory that `truncated` does not name
-/// left the box.
-fn ends_in_order(ends: &[End], truncated: &[Truncated]) -> Vec<TrajectoryEnd> {
-    let mut in_order: Vec<TrajectoryEnd> =
-        ends.iter().map(|end| TrajectoryEnd { end: end.index + 1, left_box: true }).collect();
-    for truncated in truncated {
-        in_order[truncated.place].left_box = false;
-    }
-    in_order.sort_unstable_by_key(|end| end.end);
-    in_order
 }
 
 /// A trajectory and the exploration noise on its actions.
@@ -300,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reward_is_less_by_the_square_of_the_change_of_the_limited_voltage() {
+    fn a_reward_is_multiplied_by_exp_of_minus_the_weighted_squared_change_of_the_limited_voltage() {
         let (plain, weighted) = (batch(0.0), batch(0.02));
         let voltage_v = |transition: &Transition| (5.0 * transition.action).clamp(-5.0, 5.0);
         let parts = |index: usize, last_v: f32| {

@@ -33,11 +33,14 @@ const _: () = assert!(size_of::<Transition>() == 64);
 
 /// The end of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct End {
+pub(super) struct TrajectoryEnd {
     /// Index of the trajectory's last transition.
-    pub index: usize,
-    /// Value of the state after the end: 0 where the trajectory left the safety box; the value
-    /// network's estimate where the time limit or the end of the batch cut it short.
+    pub last: usize,
+    /// Whether the trajectory left the safety box; if not, the time limit or the end of the batch
+    /// ended it.
+    pub left_box: bool,
+    /// Value of the state after the end: 0 where the trajectory left the safety box, otherwise the
+    /// value network's estimate.
     pub value_after: f32,
 }
 
@@ -46,7 +49,7 @@ pub(super) struct End {
 /// and the last transition is an end.
 pub(super) fn estimate_advantages(
     transitions: &mut [Transition],
-    ends: &[End],
+    ends: &[TrajectoryEnd],
     discount: f32,
     gae_lambda: f32,
 ) {
@@ -54,7 +57,7 @@ pub(super) fn estimate_advantages(
     let mut advantage = 0.0;
     let mut next_value = 0.0;
     for (index, transition) in transitions.iter_mut().enumerate().rev() {
-        if let Some(end) = ends.next_if(|end| end.index == index) {
+        if let Some(end) = ends.next_if(|end| end.last == index) {
             (advantage, next_value) = (0.0, end.value_after);
         }
         let td_error = transition.reward + discount * next_value - transition.value;
@@ -146,7 +149,10 @@ mod tests {
     fn with_lambda_one_the_return_is_the_discounted_sum_of_rewards_up_to_the_end() {
         let mut transitions =
             steps(&[(1.0, 0.25), (2.0, 0.125), (4.0, 0.75), (8.0, 0.5), (16.0, 0.5)]);
-        let ends = [End { index: 1, value_after: 0.0 }, End { index: 4, value_after: 32.0 }];
+        let ends = [
+            TrajectoryEnd { last: 1, left_box: true, value_after: 0.0 },
+            TrajectoryEnd { last: 4, left_box: false, value_after: 32.0 },
+        ];
         estimate_advantages(&mut transitions, &ends, 0.5, 1.0);
         let returns: Vec<f32> = transitions.iter().map(|t| t.return_).collect();
         assert_eq!(returns, [2.0, 2.0, 16.0, 24.0, 32.0]);
@@ -158,7 +164,7 @@ mod tests {
     #[test]
     fn with_lambda_zero_the_advantage_is_the_one_step_td_error() {
         let mut transitions = steps(&[(1.0, 3.0), (2.0, 5.0)]);
-        let ends = [End { index: 1, value_after: 7.0 }];
+        let ends = [TrajectoryEnd { last: 1, left_box: false, value_after: 7.0 }];
         estimate_advantages(&mut transitions, &ends, 0.5, 0.0);
         assert_eq!(transitions[0].advantage, 1.0 + 0.5 * 5.0 - 3.0);
         assert_eq!(transitions[1].advantage, 2.0 + 0.5 * 7.0 - 5.0);

@@ -1,5 +1,5 @@
-use super::collect::{Batch, TrajectoryEnd};
-use super::transition::{ExtraInputs, Transition};
+use super::collect::Batch;
+use super::transition::{ExtraInputs, TrajectoryEnd, Transition};
 use crate::qube::MAX_STEPS;
 
 /// Selects the transitions of the trajectories with the lowest returns: `share` of a batch's
@@ -12,12 +12,12 @@ pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
     let mut first = 0;
     let mut trajectories: Vec<(f64, usize, TrajectoryEnd)> = Vec::with_capacity(batch.ends.len());
     for own in &batch.ends {
-        let steps = own.end - first;
+        let steps = own.last + 1 - first;
         let earned: f64 =
-            batch.transitions[first..own.end].iter().map(|it| f64::from(it.reward)).sum();
+            batch.transitions[first..=own.last].iter().map(|it| f64::from(it.reward)).sum();
         let over = if own.left_box { MAX_STEPS } else { steps };
         trajectories.push((earned / over as f64, first, *own));
-        first = own.end;
+        first = own.last + 1;
     }
     // Ties stay in order, so that the same batch gives the same transitions.
     trajectories.sort_by(|one, other| one.0.total_cmp(&other.0));
@@ -26,9 +26,9 @@ pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
     let (mut transitions, mut extra_inputs) = (Vec::<Transition>::new(), Vec::<ExtraInputs>::new());
     let mut ends = Vec::with_capacity(kept);
     for &(_, first, own) in &trajectories {
-        transitions.extend(&batch.transitions[first..own.end]);
-        extra_inputs.extend(batch.extra_inputs.get(first..own.end).unwrap_or_default());
-        ends.push(TrajectoryEnd { end: transitions.len(), ..own });
+        transitions.extend(&batch.transitions[first..=own.last]);
+        extra_inputs.extend(batch.extra_inputs.get(first..=own.last).unwrap_or_default());
+        ends.push(TrajectoryEnd { last: transitions.len() - 1, ..own });
     }
     Batch { transitions, extra_inputs, trajectories: kept as u32, ends }
 }
@@ -44,7 +44,8 @@ mod tests {
         let (mut transitions, mut ends) = (Vec::new(), Vec::new());
         for &(reward, steps, left_box) in trajectories {
             transitions.extend(vec![Transition { reward, ..Transition::default() }; steps]);
-            ends.push(TrajectoryEnd { end: transitions.len(), left_box });
+            let last = transitions.len() - 1;
+            ends.push(TrajectoryEnd { last, left_box, value_after: 0.0 });
         }
         Batch { transitions, extra_inputs: Vec::new(), trajectories: ends.len() as u32, ends }
     }
@@ -73,6 +74,6 @@ mod tests {
         all.extra_inputs = (0..5).map(|index| [index as f32; MAX_PHYSICS_INPUTS]).collect();
         let kept = worst_of(&all, 0.5);
         assert_eq!(kept.extra_inputs[..], all.extra_inputs[2..]);
-        assert_eq!(kept.ends, [TrajectoryEnd { end: 3, left_box: true }]);
+        assert_eq!(kept.ends, [TrajectoryEnd { last: 2, left_box: true, value_after: 0.0 }]);
     }
 }
