@@ -9,9 +9,9 @@ use crossbeam_channel::{RecvTimeoutError, Sender, unbounded};
 
 use super::folder::{
     ClaimEnding, ClaimName, Coordinator, Heartbeat, HeartbeatWatch, Holder, JobFolder, JobResult,
-    NextTry, Tries,
+    NextTry, Terms, Tries,
 };
-use super::patience::{PATIENCE, Patience};
+use super::patience::{FOLDER_PATIENCE, Patience};
 use super::starter::{StartError, Starter};
 use super::worker_pool::{NoWorkers, WorkerPool};
 use super::{Executor, JobError, JobEvent, JobFolderError, TrainingJob};
@@ -34,11 +34,12 @@ const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
 /// Time between two searches for jobs whose files somebody has removed.
 const LOST_JOB_INTERVAL: Duration = Duration::from_secs(2);
 
-/// The patience of a caller that waits for results.
+/// Repeats operations on the folder for a caller that waits for results, until its patience ends or
+/// it is told to stop.
 struct PatientCaller<'a> {
     patience: Patience,
     stop: &'a AtomicBool,
-    waits: fn(),
+    on_wait: fn(),
 }
 
 impl PatientCaller<'_> {
@@ -60,7 +61,7 @@ impl PatientCaller<'_> {
                         return Err(TrainError::Stopped.into());
                     }
                     tracing::warn!("{error}");
-                    (self.waits)();
+                    (self.on_wait)();
                     std::thread::sleep(LONGEST_WAIT);
                 }
                 Err(error) => return Err(error.into()),
@@ -79,7 +80,7 @@ pub struct FolderExecutor {
     shared: Arc<Shared>,
     watch: Option<JoinHandle<()>>,
     workers: u32,
-    waits: fn(),
+    on_wait: fn(),
 }
 
 #[derive(Debug)]
@@ -100,7 +101,8 @@ struct Shared {
 pub enum AtEnd {
     /// The executor withdraws the jobs and ends the workers.
     Withdraw,
-    /// They outlive the executor; another one finds their results in the folder.
+    /// Workers and unfinished jobs outlive the executor, and a later executor finds their results
+    /// in the folder. If no job is open, the workers end.
     Leave,
 }
 
@@ -186,19 +188,19 @@ impl FolderExecutor {
         let watched = Arc::clone(&shared);
         let watch = std::thread::Builder::new()
             .name("jobs".to_owned())
-            .spawn(move || watched.watch(heartbeat, worker_pool))
+            .spawn(move || Watch::new(&watched, heartbeat, worker_pool).run())
             .map_err(|source| JobFolderError::Disk {
                 path: shared.folder.root().to_owned(),
                 source,
             })?;
-        Ok(Self { shared, watch: Some(watch), workers, waits: || () })
+        Ok(Self { shared, watch: Some(watch), workers, on_wait: || () })
     }
 
-    /// Sets a function that is called every 10 s or more often while a caller waits for results,
-    /// because a scheduler's queue may be long.
+    /// Sets the function that `train` calls every 10 s or more often while it waits for results. By
+    /// it a caller shows a service manager that it has not hung.
     #[must_use]
-    pub fn while_waiting(mut self, waits: fn()) -> Self {
-        self.waits = waits;
+    pub fn while_waiting(mut self, on_wait: fn()) -> Self {
+        self.on_wait = on_wait;
         self
     }
 
@@ -229,7 +231,7 @@ impl Executor for FolderExecutor {
         let (sender, receiver) = unbounded();
         let mut open: HashMap<usize, String> = HashMap::with_capacity(jobs.len());
         let mut patient =
-            PatientCaller { patience: Patience::new(PATIENCE), stop, waits: self.waits };
+            PatientCaller { patience: Patience::new(FOLDER_PATIENCE), stop, on_wait: self.on_wait };
         for (index, job) in jobs.iter().enumerate() {
             match shared.ask(index, job, &sender, &mut patient) {
                 Ok(name) => drop(open.insert(index, name)),
@@ -238,7 +240,8 @@ impl Executor for FolderExecutor {
         }
         shared.changed.notify_all();
         let (mut notified, mut looked) = (Instant::now(), Instant::now());
-        // Results may come faster than they are read, so a stop waits for no pause between them.
+        // The stop flag is read before each notice: while results arrive without a pause,
+        // `recv_timeout` never times out.
         while !open.is_empty() && !stop.load(Ordering::Relaxed) {
             if looked.elapsed() >= LOST_JOB_INTERVAL {
                 looked = Instant::now();
@@ -248,7 +251,7 @@ impl Executor for FolderExecutor {
             }
             if notified.elapsed() >= SIGN_OF_LIFE {
                 notified = Instant::now();
-                (self.waits)();
+                (self.on_wait)();
             }
             let notice = match receiver.recv_timeout(POLL_INTERVAL) {
                 Ok(notice) => notice,
@@ -281,7 +284,7 @@ impl Executor for FolderExecutor {
                     on_event(JobEvent::Update { job: index, update: *update });
                 }
             }
-            // Without an ending of its own the job may still be under way.
+            // A job without one of these results may still be running on a worker.
             let has_ended = matches!(
                 result,
                 Ok(_) | Err(JobError::Elsewhere { .. } | JobError::GivenUp { .. })
@@ -311,8 +314,8 @@ impl Shared {
         patient: &mut PatientCaller<'_>,
     ) -> Result<String, JobError> {
         let name = job.fingerprint();
-        // The caller is registered first: then nobody removes the files of an equal job that has
-        // just ended, unless they are gone before the look at them.
+        // The caller registers before it looks at the files, so that nobody removes the files of an
+        // equal job between the look and the registration.
         let mut state = self.lock();
         if let Some(failure) = &state.failure {
             return Err(failure.clone().into());
@@ -441,82 +444,6 @@ impl Shared {
         }
     }
 
-    /// Runs until the executor ends: keeps the heartbeat, announces results, gives up jobs and
-    /// tends the workers.
-    fn watch(&self, mut heartbeat: Heartbeat, mut worker_pool: Option<WorkerPool>) {
-        let terms = self.folder.terms().clone();
-        let begun = Instant::now();
-        let mut tries = HeartbeatWatch::new(Holder::this_process(), terms.stale());
-        let (mut beaten, mut stale_checked) = (Instant::now(), Instant::now());
-        let mut tended: Option<Instant> = None;
-        let longest = LONGEST_WAIT.min(terms.beat());
-        let mut wait = SHORTEST_WAIT;
-        let (mut looking, mut tending) = (Patience::new(PATIENCE), Patience::new(PATIENCE));
-        while !self.ended.load(Ordering::Relaxed) {
-            if beaten.elapsed() >= terms.beat() {
-                beaten = Instant::now();
-                let _ = heartbeat.beat();
-                match self.folder.check_coordinator(self.coordinator) {
-                    Err(error @ JobFolderError::TakenOver { .. }) => {
-                        self.fail(&Failure::Folder(Arc::new(error)));
-                        break;
-                    }
-                    // A failure of the disk is met below, with patience.
-                    Err(_) => {}
-                    Ok(()) => self.restore_terms(),
-                }
-            }
-            let looked = self.announce_results().and_then(|found| {
-                if stale_checked.elapsed() >= terms.beat() {
-                    stale_checked = Instant::now();
-                    self.give_up(&mut tries, begun.elapsed())?;
-                }
-                Ok(found)
-            });
-            match looked {
-                Ok(found) => {
-                    looking.renew();
-                    wait = if found { SHORTEST_WAIT } else { (wait * 2).min(longest) };
-                }
-                Err(error) if looking.lasts() => {
-                    tracing::warn!("{error}");
-                    wait = longest;
-                }
-                Err(error) => self.fail(&Failure::Folder(Arc::new(error))),
-            }
-            if let Some(pool) = &mut worker_pool
-                && tended.is_none_or(|tended| tended.elapsed() >= terms.beat())
-            {
-                let open = self.lock().waiting.len();
-                let results = self.results.load(Ordering::Relaxed);
-                match pool.start_missing(&self.folder, open, results).map_err(Failure::from) {
-                    Ok(()) => tending.renew(),
-                    Err(failure) if failure.may_pass() && tending.lasts() => {
-                        tracing::warn!("{}", JobError::from(failure));
-                    }
-                    Err(failure) => self.fail(&failure),
-                }
-                tended = (open > 0).then(Instant::now);
-            }
-            let state = self.lock();
-            if state.waiting.is_empty() {
-                wait = longest;
-            }
-            let ended = |_: &mut State| self.ended.load(Ordering::Relaxed);
-            let before = state.waiting.len();
-            let wait_on = |state: &mut State| !ended(state) && state.waiting.len() <= before;
-            drop(self.changed.wait_timeout_while(state, wait, wait_on));
-        }
-        if !self.has_lost_folder()
-            && (self.at_end == AtEnd::Withdraw
-                || self.folder.open_jobs().is_ok_and(|jobs| jobs.is_empty()))
-        {
-            let _ = self.folder.close();
-            worker_pool.iter_mut().for_each(WorkerPool::cancel);
-        }
-        let _ = heartbeat.end(&ClaimEnding::Done);
-    }
-
     /// Writes `folder.json` again if it is damaged or gone, and says so.
     fn restore_terms(&self) {
         match self.folder.restore_terms() {
@@ -551,22 +478,27 @@ impl Shared {
     }
 
     /// Gives up the jobs that have failed too often.
-    fn give_up(&self, watch: &mut HeartbeatWatch, now: Duration) -> Result<(), JobFolderError> {
+    fn give_up(
+        &self,
+        claim_watch: &mut HeartbeatWatch,
+        now: Duration,
+    ) -> Result<(), JobFolderError> {
         let waiting: HashSet<String> = self.lock().waiting.keys().cloned().collect();
         if waiting.is_empty() {
             return Ok(());
         }
-        watch.forget_all_but(|name| {
+        claim_watch.forget_all_but(|name| {
             ClaimName::parse(name).is_some_and(|claim| waiting.contains(claim.job))
         });
-        let most = self.folder.terms().tries;
-        for (job, begun) in self.folder.claims()? {
-            if begun < most || !waiting.contains(&job) || self.folder.has_result(&job) {
+        let max_failures = self.folder.terms().tries;
+        for (job, tries_begun) in self.folder.claims()? {
+            if tries_begun < max_failures || !waiting.contains(&job) || self.folder.has_result(&job)
+            {
                 continue;
             }
-            let tries = Tries::read(&self.folder, &job, begun, watch, now)?;
+            let tries = Tries::read(&self.folder, &job, tries_begun, claim_watch, now)?;
             // The result may have come while the claims were read.
-            if tries.next_try(most) != NextTry::GivenUp || self.folder.has_result(&job) {
+            if tries.next_try(max_failures) != NextTry::GivenUp || self.folder.has_result(&job) {
                 continue;
             }
             if self.has_lost_folder() {
@@ -593,5 +525,158 @@ impl Shared {
             let _ = sender.send(Notice::Failed(index, failure.clone().into()));
         }
         state.failure = Some(failure.clone());
+    }
+}
+
+/// The work of the thread `jobs`, which lasts until the executor ends: keeps the heartbeat and the
+/// folder's terms, announces results, gives up jobs, and tends the workers.
+struct Watch<'a> {
+    shared: &'a Shared,
+    terms: Terms,
+    begun: Instant,
+    heartbeat: Heartbeat,
+    /// Time of the last beat.
+    beaten: Instant,
+    /// Wait before the next search for results.
+    wait: Duration,
+    /// Patience with the search for results and failed jobs.
+    looking: Patience,
+    claim_watch: HeartbeatWatch,
+    /// Time of the last search for jobs that have failed too often.
+    claims_checked: Instant,
+    worker_pool: Option<WorkerPool>,
+    /// Time at which the pool last started missing workers; `None` if no job was open then.
+    tended: Option<Instant>,
+    /// Patience with the start of workers.
+    tending: Patience,
+}
+
+impl<'a> Watch<'a> {
+    fn new(shared: &'a Shared, heartbeat: Heartbeat, worker_pool: Option<WorkerPool>) -> Self {
+        let terms = shared.folder.terms().clone();
+        let now = Instant::now();
+        Self {
+            shared,
+            begun: now,
+            heartbeat,
+            beaten: now,
+            wait: SHORTEST_WAIT,
+            looking: Patience::new(FOLDER_PATIENCE),
+            claim_watch: HeartbeatWatch::new(Holder::this_process(), terms.stale()),
+            claims_checked: now,
+            worker_pool,
+            tended: None,
+            tending: Patience::new(FOLDER_PATIENCE),
+            terms,
+        }
+    }
+
+    /// Works until the executor ends or another coordinator takes the folder over.
+    fn run(mut self) {
+        while !self.shared.ended.load(Ordering::Relaxed) {
+            if let Err(taken_over) = self.keep_folder() {
+                self.shared.fail(&Failure::Folder(Arc::new(taken_over)));
+                break;
+            }
+            self.look_for_results();
+            self.tend_workers();
+            self.wait_for_work();
+        }
+        self.end();
+    }
+
+    /// Beats and keeps the folder's terms, if a beat is due.
+    ///
+    /// # Errors
+    /// Another coordinator has taken the folder over.
+    fn keep_folder(&mut self) -> Result<(), JobFolderError> {
+        if self.beaten.elapsed() < self.terms.beat() {
+            return Ok(());
+        }
+        self.beaten = Instant::now();
+        let _ = self.heartbeat.beat();
+        match self.shared.folder.check_coordinator(self.shared.coordinator) {
+            Err(error @ JobFolderError::TakenOver { .. }) => return Err(error),
+            // A failing disk also fails the search for results, which is repeated for
+            // `FOLDER_PATIENCE`.
+            Err(_) => {}
+            Ok(()) => self.shared.restore_terms(),
+        }
+        Ok(())
+    }
+
+    /// Announces the results that have come, and gives up jobs that have failed too often.
+    fn look_for_results(&mut self) {
+        let looked = self.shared.announce_results().and_then(|found| {
+            if self.claims_checked.elapsed() >= self.terms.beat() {
+                self.claims_checked = Instant::now();
+                self.shared.give_up(&mut self.claim_watch, self.begun.elapsed())?;
+            }
+            Ok(found)
+        });
+        match looked {
+            Ok(found) => {
+                self.looking.renew();
+                self.wait =
+                    if found { SHORTEST_WAIT } else { (self.wait * 2).min(self.longest_wait()) };
+            }
+            Err(error) if self.looking.lasts() => {
+                tracing::warn!("{error}");
+                self.wait = self.longest_wait();
+            }
+            Err(error) => self.shared.fail(&Failure::Folder(Arc::new(error))),
+        }
+    }
+
+    /// Starts missing workers, at once for the first open job and then once a beat.
+    fn tend_workers(&mut self) {
+        let Some(pool) = &mut self.worker_pool else { return };
+        if self.tended.is_some_and(|tended| tended.elapsed() < self.terms.beat()) {
+            return;
+        }
+        let open = self.shared.lock().waiting.len();
+        let results = self.shared.results.load(Ordering::Relaxed);
+        match pool.start_missing(&self.shared.folder, open, results).map_err(Failure::from) {
+            Ok(()) => self.tending.renew(),
+            Err(failure) if failure.may_pass() && self.tending.lasts() => {
+                tracing::warn!("{}", JobError::from(failure));
+            }
+            Err(failure) => self.shared.fail(&failure),
+        }
+        self.tended = (open > 0).then(Instant::now);
+    }
+
+    /// Waits until the next search for results is due, a caller waits for one more job, or the
+    /// executor ends.
+    fn wait_for_work(&mut self) {
+        let shared = self.shared;
+        let state = shared.lock();
+        if state.waiting.is_empty() {
+            self.wait = self.longest_wait();
+        }
+        let before = state.waiting.len();
+        let wait_on = |state: &mut State| {
+            !shared.ended.load(Ordering::Relaxed) && state.waiting.len() <= before
+        };
+        drop(shared.changed.wait_timeout_while(state, self.wait, wait_on));
+    }
+
+    /// Longest time between two searches for results.
+    fn longest_wait(&self) -> Duration {
+        LONGEST_WAIT.min(self.terms.beat())
+    }
+
+    /// Ends the workers, unless they are to outlive the executor or have another coordinator, and
+    /// ends the heartbeat.
+    fn end(mut self) {
+        let shared = self.shared;
+        if !shared.has_lost_folder()
+            && (shared.at_end == AtEnd::Withdraw
+                || shared.folder.open_jobs().is_ok_and(|jobs| jobs.is_empty()))
+        {
+            let _ = shared.folder.close();
+            self.worker_pool.iter_mut().for_each(WorkerPool::cancel);
+        }
+        let _ = self.heartbeat.end(&ClaimEnding::Done);
     }
 }

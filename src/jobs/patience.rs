@@ -2,10 +2,10 @@ use std::time::{Duration, Instant};
 
 /// Longest time for which operations on a folder may fail, because file servers are restarted now
 /// and then.
-pub(super) const PATIENCE: Duration = Duration::from_secs(60);
+pub(super) const FOLDER_PATIENCE: Duration = Duration::from_secs(60);
 
-/// The patience with operations on a folder, which lasts for a time from the first failure since
-/// the last success.
+/// The patience with an operation that fails. It lasts for a time from the first failure since the
+/// last success.
 #[derive(Debug)]
 pub(super) struct Patience {
     longest: Duration,
@@ -27,6 +27,12 @@ impl Patience {
     pub fn renew(&mut self) {
         self.failing_since = None;
     }
+
+    /// Moves the first failure into the past by this time.
+    #[cfg(test)]
+    pub fn age(&mut self, time: Duration) {
+        self.failing_since = self.failing_since.map(|since| since - time);
+    }
 }
 
 #[cfg(test)]
@@ -38,7 +44,7 @@ mod tests {
         let second = Duration::from_secs(1);
         let mut patience = Patience::new(600 * second);
         assert!(patience.lasts());
-        patience.failing_since = patience.failing_since.map(|since| since - 601 * second);
+        patience.age(601 * second);
         assert!(!patience.lasts());
         patience.renew();
         assert!(patience.lasts());

@@ -3,6 +3,7 @@ use std::time::{Duration, Instant};
 
 use super::JobFolderError;
 use super::folder::{ClaimEnding, HeartbeatState, HeartbeatWatch, Holder, JobFolder};
+use super::patience::Patience;
 use super::starter::{StartError, Starter};
 
 /// Number of starts in a row without any new worker after which the work ends.
@@ -13,7 +14,7 @@ const MAX_STARTS_WITHOUT_WORKER: u32 = 2;
 const MAX_STARTS_WITHOUT_RESULT: u32 = 20;
 
 /// Longest time for which a scheduler may fail to answer.
-const PATIENCE: Duration = Duration::from_secs(600);
+const SCHEDULER_PATIENCE: Duration = Duration::from_secs(600);
 
 /// Difference between two computers' clocks above which the operator is warned, s.
 const CLOCK_DIFFERENCE_S: u64 = 120;
@@ -42,8 +43,8 @@ pub(super) struct WorkerPool {
     results: u64,
     /// Time of the last start.
     started: Option<Instant>,
-    /// Time since which the scheduler does not answer.
-    silent_since: Option<Instant>,
+    /// Patience with a scheduler that does not answer.
+    silent: Patience,
     /// Time since which workers run, by the starter's count, without a file in the folder.
     running_since: Option<Instant>,
     /// Warnings that the operator has been given.
@@ -86,7 +87,7 @@ impl WorkerPool {
             starts_without_result: 0,
             results: 0,
             started: None,
-            silent_since: None,
+            silent: Patience::new(SCHEDULER_PATIENCE),
             running_since: None,
             warned: Vec::new(),
         }
@@ -96,8 +97,8 @@ impl WorkerPool {
     /// results so far.
     ///
     /// # Errors
-    /// The folder cannot be read; workers cannot be started or, for [`PATIENCE`], not be counted;
-    /// no started worker appears or has a result; or all workers refuse.
+    /// The folder cannot be read; workers cannot be started or, for [`SCHEDULER_PATIENCE`], not be
+    /// counted; no started worker appears or has a result; or all workers refuse.
     pub fn start_missing(
         &mut self,
         folder: &JobFolder,
@@ -106,7 +107,7 @@ impl WorkerPool {
     ) -> Result<(), NoWorkers> {
         if open_jobs == 0 {
             // Nobody asks the scheduler while there is no work, so it is not silent either.
-            self.silent_since = None;
+            self.silent.renew();
             return Ok(());
         }
         if results > self.results {
@@ -119,18 +120,18 @@ impl WorkerPool {
                 Some(_) => note.clone(),
                 None => format!(
                     "{note}. It is asked again, for up to {} minutes",
-                    PATIENCE.as_secs() / 60
+                    SCHEDULER_PATIENCE.as_secs() / 60
                 ),
             });
         }
         let Some(expected) = workers.expected else {
-            if self.silent_since.get_or_insert_with(Instant::now).elapsed() >= PATIENCE {
+            if !self.silent.lasts() {
                 let last = workers.note.unwrap_or_default();
                 return Err(StartError::SilentTooLong { last }.into());
             }
             return Ok(());
         };
-        self.silent_since = None;
+        self.silent.renew();
         self.probe(folder, workers.running, alive)?;
         if self.appeared == self.appeared_at_start
             && self.started.is_some_and(|started| started.elapsed() >= folder.terms().stale())
@@ -230,7 +231,7 @@ impl WorkerPool {
                 self.compare_clocks(&state, since_counted);
             }
             if let Some(ClaimEnding::Failed(reason)) = &state.ending {
-                let note = format!("{} has ended: {reason}", state.by());
+                let note = format!("{} has ended: {reason}", state.creator());
                 self.warn_once(note);
             }
             alive += u32::from(lives);
@@ -337,11 +338,11 @@ mod tests {
         assert!(pool.start_missing(&folder, 1, 0).is_ok());
         let warned = "squeue fails: no host. It is asked again, for up to 10 minutes";
         assert_eq!(pool.warned, [warned]);
-        pool.silent_since = pool.silent_since.map(|since| since - PATIENCE);
+        pool.silent.age(SCHEDULER_PATIENCE);
         // Rollouts without a training take ten minutes and more.
         assert!(pool.start_missing(&folder, 0, 0).is_ok());
         assert!(pool.start_missing(&folder, 1, 0).is_ok());
-        pool.silent_since = pool.silent_since.map(|since| since - PATIENCE);
+        pool.silent.age(SCHEDULER_PATIENCE);
         assert!(matches!(
             pool.start_missing(&folder, 1, 0),
             Err(NoWorkers::Start(StartError::SilentTooLong { .. }))

@@ -47,7 +47,7 @@ impl JobFolder {
                         .as_ref()
                         .is_some_and(|it| it.host == holder.host && it.boot == holder.boot);
                     if has_grown || here {
-                        let (path, by) = (self.root().to_owned(), state.by());
+                        let (path, by) = (self.root().to_owned(), state.creator());
                         return Err(JobFolderError::TwoCoordinators { path, by });
                     }
                     if stop.load(Ordering::Relaxed) {
@@ -81,7 +81,7 @@ impl JobFolder {
         match self.last_coordinator()? {
             Some(last) if last > number => Err(JobFolderError::TakenOver {
                 path: self.root().to_owned(),
-                by: self.coordinator_state(last).unwrap_or_default().by(),
+                by: self.coordinator_state(last).unwrap_or_default().creator(),
             }),
             _ => Ok(()),
         }

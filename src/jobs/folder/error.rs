@@ -1,4 +1,4 @@
-//! Why a folder of jobs cannot be used.
+//! Errors of using a folder of jobs.
 
 use std::io;
 use std::path::PathBuf;

@@ -12,7 +12,7 @@ use crate::storage::{Disk, DiskFile, Existing};
 
 /// Largest part of a heartbeat file that is read, bytes. A file that has reached it seems to grow
 /// no more, and its process counts as dead: after 2.6 years with the default of a beat every 5 s,
-/// after 16 days with the shortest stale time, a second.
+/// after 16 days with the shortest stale time, 1 s.
 const MAX_BYTES: u64 = 1 << 24;
 
 /// The reason why a process has given up its heartbeat file.
@@ -110,7 +110,7 @@ impl HeartbeatState {
 
     /// Describes the process that created the file.
     #[must_use]
-    pub fn by(&self) -> String {
+    pub fn creator(&self) -> String {
         self.holder.as_ref().map_or_else(|| "an unknown process".to_owned(), Holder::to_string)
     }
 }
@@ -121,6 +121,7 @@ impl HeartbeatState {
 pub struct HeartbeatWatch {
     here: Holder,
     stale: Duration,
+    /// Of each file the last length, bytes, and the time at which this watch first saw that length.
     seen: HashMap<String, (usize, Duration)>,
 }
 

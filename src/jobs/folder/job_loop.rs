@@ -9,7 +9,7 @@ use super::{
     WorkerEvent,
 };
 use crate::jobs::TrainingJob;
-use crate::jobs::patience::{PATIENCE, Patience};
+use crate::jobs::patience::{FOLDER_PATIENCE, Patience};
 use crate::learning::{TrainError, Trained, train};
 
 /// Longest time between two looks at a folder that has no work; half the stale time, if that is
@@ -322,7 +322,7 @@ impl<'a> JobLoop<'a> {
 
     /// Time for which file operations may fail before the worker ends.
     fn patience(&self) -> Duration {
-        PATIENCE.min(self.worker.folder.terms().stale())
+        FOLDER_PATIENCE.min(self.worker.folder.terms().stale())
     }
 }
 

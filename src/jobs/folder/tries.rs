@@ -44,7 +44,7 @@ impl Tries {
             let state = HeartbeatState::read(folder.disk(), &path)
                 .map_err(|source| JobFolderError::Disk { path, source })?
                 .unwrap_or_default();
-            let by = state.by();
+            let by = state.creator();
             match &state.ending {
                 Some(ClaimEnding::Stopped) => {}
                 Some(ClaimEnding::Failed(reason)) => tries.failures.push(format!("{by}: {reason}")),
