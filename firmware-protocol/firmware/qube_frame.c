@@ -87,7 +87,7 @@ int16_t current_ma(uint16_t raw)
 
 int32_t tachometer_counts_s(uint32_t raw)
 {
-    uint32_t ticks = raw & TACHOMETER_STILL;
+    uint32_t ticks = raw & TACHOMETER_TICKS;
     if (ticks == TACHOMETER_STILL || ticks == 0) {
         return 0;
     }

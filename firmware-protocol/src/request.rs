@@ -25,7 +25,8 @@ pub enum Request {
     },
     /// Asks for one sample.
     Sample,
-    /// Sets the motor voltage. The device answers it only with a refusal.
+    /// Sets the motor voltage. The device sends no answer to an act that it accepts, and a refusal
+    /// to one that it does not.
     Act {
         /// Voltage in mV, -5000 to 5000.
         voltage_mv: i16,

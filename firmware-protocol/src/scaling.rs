@@ -12,7 +12,7 @@ pub const FULL_MOTOR_COUNTS: i32 = 999;
 /// Voltage of full duty, mV: the Qube's supply.
 pub const SUPPLY_MV: i32 = 24_000;
 
-/// Bit 15 of the motor word switches the amplifier on.
+/// Bit of the motor word that switches the amplifier on.
 pub const MOTOR_ENABLE: u16 = 0x8000;
 
 /// ADC count of 0 A.
@@ -21,10 +21,13 @@ pub const CURRENT_ZERO: i32 = 8190;
 /// ADC counts per ampere.
 pub const CURRENT_COUNTS_PER_A: i32 = 9828;
 
-/// Tachometer reading of an arm at rest, and mask of the 23 bits that hold the ticks.
-pub const TACHOMETER_STILL: u32 = 0x7F_FFFF;
+/// Mask of the bits of the tachometer's reading that hold the number of ticks.
+pub const TACHOMETER_TICKS: u32 = 0x7F_FFFF;
 
-/// Bit 23 of the tachometer's reading: the arm turns towards negative counts.
+/// Number of ticks that the Qube reports for an arm at rest.
+pub const TACHOMETER_STILL: u32 = TACHOMETER_TICKS;
+
+/// Bit of the tachometer's reading that is set while the arm turns towards negative counts.
 pub const TACHOMETER_NEGATIVE: u32 = 0x80_0000;
 
 /// Product of the arm's speed, counts/s, and the tachometer's reading: 4 counts / 25 ns. The
@@ -61,7 +64,7 @@ pub fn current_ma(raw: u16) -> i16 {
 /// zero.
 #[must_use]
 pub fn tachometer_counts_s(raw: u32) -> i32 {
-    let ticks = raw & TACHOMETER_STILL;
+    let ticks = raw & TACHOMETER_TICKS;
     if ticks == TACHOMETER_STILL || ticks == 0 {
         return 0;
     }

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use firmware_protocol::scaling::{
     CURRENT_COUNTS_PER_A, CURRENT_ZERO, FULL_MOTOR_COUNTS, MAX_VOLTAGE_MV, MOTOR_ENABLE, SUPPLY_MV,
-    TACHOMETER_COUNTS_S_TICKS, TACHOMETER_NEGATIVE, TACHOMETER_STILL,
+    TACHOMETER_COUNTS_S_TICKS, TACHOMETER_NEGATIVE, TACHOMETER_STILL, TACHOMETER_TICKS,
 };
 use firmware_protocol::{
     BAUD_RATE, Decoder, DeviceKind, DeviceState, DisarmReply, HelloReply, MAX_FRAME_BYTES,
@@ -110,6 +110,7 @@ fn header() -> String {
     define(h, "MOTOR_ENABLE", format_args!("0x{MOTOR_ENABLE:04X}u"));
     define(h, "CURRENT_ZERO", format_args!("{CURRENT_ZERO}l"));
     define(h, "CURRENT_COUNTS_PER_A", format_args!("{CURRENT_COUNTS_PER_A}l"));
+    define(h, "TACHOMETER_TICKS", format_args!("0x{TACHOMETER_TICKS:06X}ul"));
     define(h, "TACHOMETER_STILL", format_args!("0x{TACHOMETER_STILL:06X}ul"));
     define(h, "TACHOMETER_NEGATIVE", format_args!("0x{TACHOMETER_NEGATIVE:06X}ul"));
     define(h, "TACHOMETER_COUNTS_S_TICKS", format_args!("{TACHOMETER_COUNTS_S_TICKS}ul"));
