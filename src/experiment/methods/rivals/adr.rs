@@ -117,7 +117,7 @@ impl DescribedPolicy<'_> {
         simulate(&demonstration, simulation, &models)
             .iter()
             .map(|motion| {
-                let own = statistics(motion, parts);
+                let own = statistics(motion, simulation.plant.encoders, parts);
                 features(std::slice::from_ref(&own), own.len())
             })
             .collect()

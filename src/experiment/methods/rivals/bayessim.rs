@@ -23,6 +23,7 @@ impl Rival for BayesSim {
 
     fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         let mut random = given.random();
+        let encoders = given.simulation.plant.encoders;
         let targets = given.space.draws(SAMPLES, &mut random);
         let models: Vec<_> = targets.iter().map(|point| given.space.model(point)).collect();
         let mut simulated: Vec<Vec<Vec<f64>>> = vec![Vec::new(); SAMPLES];
@@ -30,10 +31,10 @@ impl Rival for BayesSim {
         for demonstration in given.recorded {
             let motion = SampledMotion::recorded(&demonstration.log);
             let parts = parts_of(motion.states.len());
-            real.push(statistics(&motion, parts));
+            real.push(statistics(&motion, encoders, parts));
             let motions = simulate(demonstration, given.simulation, &models);
             for (own, motion) in simulated.iter_mut().zip(&motions) {
-                own.push(statistics(motion, parts));
+                own.push(statistics(motion, encoders, parts));
             }
         }
         // A recording that ended early has fewer parts; only the parts that all recordings have are

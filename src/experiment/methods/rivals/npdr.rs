@@ -38,6 +38,7 @@ impl Rival for Npdr {
 
     fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
         let mut random = given.random();
+        let encoders = given.simulation.plant.encoders;
         let latest = given.recorded.len().saturating_sub(LATEST);
         let demonstrations = &given.recorded[latest..];
         if demonstrations.is_empty() {
@@ -55,10 +56,10 @@ impl Rival for Npdr {
         for demonstration in demonstrations {
             let motion = SampledMotion::recorded(&demonstration.log);
             let parts = parts_of(motion.states.len());
-            real.extend(statistics(&motion, parts));
+            real.extend(statistics(&motion, encoders, parts));
             let motions = simulate(demonstration, given.simulation, &models);
             for (own, motion) in inputs.iter_mut().zip(&motions) {
-                own.extend(statistics(motion, parts));
+                own.extend(statistics(motion, encoders, parts));
             }
         }
         let inputs: Vec<_> = inputs.into_iter().map(DVector::from_vec).collect();

@@ -1,23 +1,26 @@
 use nalgebra::DVector;
 
 use super::simulator::SampledMotion;
+use crate::qube::{Encoder, Encoders, State};
 
 /// Number of steps of a part of a motion: one second.
 const PART: usize = 100;
 
-/// Resolution of the Qube's encoders, rad. Simulated angles are rounded to it, because recorded
-/// angles are.
-const RESOLUTION_RAD: f64 = 2.0 * std::f64::consts::PI / 2048.0;
-
 /// Summary statistics of a motion (after BayesSim, section IV), 12 numbers for each of `parts`
 /// seconds. The statistics are of the changes, from step to step, of theta, its rate, alpha and its
-/// rate: mean, variance, and mean product with the voltage. Angles are in rad. Rates are
-/// differences of angles over two steps, in rad a step, so that a filter of recorded velocities
-/// plays no part. A part that the motion did not reach has zeros.
-pub fn statistics(motion: &SampledMotion, parts: usize) -> Vec<f64> {
-    let rounded = |angle: f64| (angle / RESOLUTION_RAD).round() * RESOLUTION_RAD;
-    let angles: Vec<[f64; 2]> =
-        motion.states.iter().map(|state| [rounded(state.theta), rounded(state.alpha)]).collect();
+/// rate: mean, variance, and mean product with the voltage. Angles are in rad. Simulated angles are
+/// rounded to the plant's encoders, because recorded angles are. Rates are differences of angles
+/// over two steps, in rad a step, so that a filter of recorded velocities plays no part. A part
+/// that the motion did not reach has zeros.
+pub fn statistics(motion: &SampledMotion, encoders: Encoders, parts: usize) -> Vec<f64> {
+    let rounded = |angle_rad: f64, encoder: Encoder| {
+        let resolution_rad = encoder.rad_per_count();
+        (angle_rad / resolution_rad).round() * resolution_rad
+    };
+    let both = |state: &State| {
+        [rounded(state.theta, encoders.theta), rounded(state.alpha, encoders.alpha)]
+    };
+    let angles: Vec<[f64; 2]> = motion.states.iter().map(both).collect();
     let mut statistics = Vec::with_capacity(parts * 12);
     for part in 0..parts {
         let (first, end) =
@@ -69,15 +72,15 @@ pub fn parts_of(steps: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::qube::State;
+    use crate::qube::PlantModel;
 
     #[test]
     fn a_steady_turn_has_its_rate_and_no_change_of_it() {
-        let step_rad = 4.0 * RESOLUTION_RAD;
+        let step_rad = 4.0 * Encoder::QUBE.rad_per_count();
         let states =
             (0..200).map(|step| State { theta: step_rad * f64::from(step), ..State::default() });
         let motion = SampledMotion { states: states.collect(), voltages_v: vec![2.0; 200] };
-        let statistics = statistics(&motion, 2);
+        let statistics = statistics(&motion, PlantModel::QUBE.encoders, 2);
         assert_eq!(statistics.len(), 24);
         for part in statistics.chunks(12) {
             assert!((part[0] - step_rad).abs() < 1e-12 && part[1] < 1e-12);
