@@ -476,7 +476,7 @@ fn is_bad_input(error: &RecordingError) -> bool {
         | RecordingError::Unreadable { .. } => true,
         RecordingError::DiskFull { .. }
         | RecordingError::Write { .. }
-        | RecordingError::NotFinite { .. }
+        | RecordingError::UnreadableRecord { .. }
         | RecordingError::Stopped { .. } => false,
     }
 }

@@ -33,18 +33,18 @@ const STILL_FAST_RAD_S: f64 = 15.0;
 /// The state of an arm whose brake has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ArmAfterBrake {
-    /// It has stopped, or is slow when the time for braking is up.
+    /// The arm has stopped, or is slow when the time for braking is up.
     Stopped,
-    /// It is fast although it was braked long enough: it does not obey the motor.
+    /// The arm is fast although it was braked long enough: it does not obey the motor.
     Disobeys,
 }
 
-/// How a brake works against the arm's motion.
+/// The law by which a brake works against the arm's motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BrakeKind {
-    /// It follows the guard's rule.
+    /// The brake follows the guard's rule.
     Guarded,
-    /// It brakes the arm's velocity alone, because the arm's count is doubted.
+    /// The brake opposes the arm's velocity alone, because the arm's count is doubted.
     Damping,
 }
 

@@ -21,8 +21,9 @@ pub struct Experiment {
 }
 
 impl Experiment {
-    /// An experiment that begins or continues in its folder. `rig` selects the Qube; if it is
-    /// emulated, it becomes each plant in turn, in virtual time.
+    /// An experiment that begins or continues in its folder. In virtual time, each attempt at a
+    /// rollout runs on a new emulated Qube of its plant. By the wall clock, all rollouts run on the
+    /// one Qube that `rig` names.
     #[must_use]
     pub fn new(
         folder: ExperimentFolder,
@@ -85,7 +86,7 @@ impl Experiment {
         &self.stop
     }
 
-    /// Whether rollouts run in virtual time, and so on many emulated Qubes at once.
+    /// Whether rollouts run in virtual time. Many emulated Qubes then run at once.
     pub(super) fn is_virtual(&self) -> bool {
         self.rig.clock == ClockChoice::Virtual
     }

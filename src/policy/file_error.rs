@@ -1,4 +1,4 @@
-//! Why a policy file cannot be read.
+//! Errors of reading a policy file.
 
 use std::path::PathBuf;
 

@@ -32,11 +32,12 @@ pub enum RecordingError {
         /// Cause of the failure.
         source: io::Error,
     },
-    /// The header or the outcome would not read back as it is.
+    /// The header or the outcome is not written, because a reader would refuse it: it holds a
+    /// number that is not finite or is out of range.
     #[error(
         "{path}: the record `{record}` is not written: it holds a number that is not finite, or is outside of the range that a reader accepts"
     )]
-    NotFinite {
+    UnreadableRecord {
         /// Path of the recording.
         path: PathBuf,
         /// Name of the record: `rollout` or `outcome`.

@@ -259,11 +259,11 @@ fn a_header_that_would_not_come_back_is_refused() {
     let mut header = header();
     header.psi.insert("mu_M_p".to_owned(), f64::NAN);
     let result = RolloutWriter::begin(Vec::new(), Path::new("memory"), header.clone(), POLICY);
-    assert!(matches!(result.err(), Some(RecordingError::NotFinite { .. })));
+    assert!(matches!(result.err(), Some(RecordingError::UnreadableRecord { .. })));
     // It leaves no file, which would be in the way of the next recording.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("rollout.mcap");
     let result = RolloutWriter::create(&MachineDisk, &path, header, POLICY);
-    assert!(matches!(result.err(), Some(RecordingError::NotFinite { .. })));
+    assert!(matches!(result.err(), Some(RecordingError::UnreadableRecord { .. })));
     assert!(!path.exists());
 }

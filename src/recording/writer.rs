@@ -263,7 +263,7 @@ impl<W: Sink> RolloutWriter<W> {
         let mut ending = None;
         if let Some(outcome) = outcome {
             let Some(metadata) = metadata::to_map(outcome) else {
-                return Err(RecordingError::NotFinite { path, record: metadata::OUTCOME });
+                return Err(RecordingError::UnreadableRecord { path, record: metadata::OUTCOME });
             };
             records.push(Metadata { name: metadata::OUTCOME.to_owned(), metadata });
             ending = Some(outcome.ending);
@@ -317,7 +317,7 @@ fn header_fields(
     path: &Path,
     header: &RolloutHeader,
 ) -> Result<BTreeMap<String, String>, RecordingError> {
-    metadata::to_map(header).ok_or_else(|| RecordingError::NotFinite {
+    metadata::to_map(header).ok_or_else(|| RecordingError::UnreadableRecord {
         path: path.to_owned(),
         record: metadata::HEADER,
     })

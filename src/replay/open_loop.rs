@@ -12,9 +12,9 @@ use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, State, runge_ku
 /// motions give.
 const LONGEST_STEP_S: f64 = CONTROL_PERIOD_S / 9.0;
 
-/// The longest integration step for a model, s: that of `lab`, or a half, a quarter ... of it for
-/// an arm with more friction ([`NonidealDynamics::accurate_step_s`]). Only by halves, so that a fit
-/// does not change it with each step.
+/// The longest integration step for a model, s: `lab`'s step, halved until it suits the arm's
+/// friction ([`NonidealDynamics::accurate_step_s`]), at most four times. The step changes by
+/// factors of 2 only, so that it stays the same over most steps of a fit.
 #[must_use]
 pub fn longest_step_s(model: &QubeModel) -> f64 {
     let accurate_s = NonidealDynamics::<f64>::new(model).accurate_step_s();
@@ -64,7 +64,8 @@ pub enum OpenLoopError {
     },
     /// A simulated state is no longer finite.
     #[error(
-        "the simulated motion diverges after {time_s} s: use voltages in V and velocities in rad/s"
+        "the simulated motion is no longer finite at {time_s:.2} s: check that the log has voltages in V and velocities in \
+         rad/s"
     )]
     Diverged {
         /// Time of the first sample with a state that is not finite, s.

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
-/// The guard of a rollout: it may end the rollout before the state reaches a limit of the box, and
-/// it determines the brake.
+/// The rule that ends a rollout early (the box alone, or a prediction before the box is left), and
+/// the brake that follows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Guard {

@@ -285,7 +285,8 @@ fn call<T>(
     result
 }
 
-/// Like [`call`], but refused unless the card is open and plugged in.
+/// Performs a call of a function as [`call`] does, but refuses it unless the card is open and
+/// plugged in.
 fn call_open<T>(
     function: &'static str,
     body: impl FnOnce(&mut Card) -> Result<T, c_int>,
@@ -301,7 +302,8 @@ fn call_open<T>(
     })
 }
 
-/// Like [`call_open`], but refused after the watchdog has expired.
+/// Performs a call of a function as [`call_open`] does, but refuses it after the watchdog has
+/// expired.
 fn call_io<T>(
     function: &'static str,
     body: impl FnOnce(&mut Card) -> Result<T, c_int>,

@@ -296,7 +296,7 @@ fn plain(text: &[c_char; TEXT_BYTES]) -> String {
 
 /// The reasons why a library is not loaded.
 enum NotOpened {
-    /// Its file is missing.
+    /// The library's file is missing.
     Absent,
     /// The loader's reason; a file that the library needs may be missing.
     Refused(String),

@@ -174,7 +174,7 @@ impl Candidates {
         self.0.len() as u32
     }
 
-    /// Those of the first `count` candidates whose rollouts are not void.
+    /// The observations of the first `count` candidates, without those of void rollouts.
     fn evaluated(&self, count: u32) -> Vec<Observation> {
         let observation = |candidate: &Evaluated| {
             let returns = vec![candidate.return_?];
