@@ -10,6 +10,10 @@ const SQUARE: usize = 40;
 /// Width of the names to the left of the squares, pixels.
 const NAMES: usize = 250;
 
+/// Style of the numbers in a file: clearer than its other texts, because squares lie behind them.
+const ENTRIES: &str = ".entry{text-anchor:middle;fill:#000}\
+     @media(prefers-color-scheme:dark){.entry{fill:#fff}}";
+
 /// Room around the squares and their names in a file, pixels.
 const MARGIN: usize = 12;
 
@@ -23,7 +27,7 @@ pub fn correlations_svg(Correlations { names, rows }: &Correlations) -> String {
     let squares = squares(names, |row, column| rows[row][column]);
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
-         role=\"img\"><title>correlations of the errors</title><style>{style}.entry{{text-anchor:middle}}</style>\
+         role=\"img\"><title>correlations of the errors</title><style>{style}{ENTRIES}</style>\
          <rect class=\"p\" width=\"{width}\" height=\"{height}\"/>\
          <g transform=\"translate({MARGIN} {MARGIN})\">{squares}</g></svg>\n"
     )
