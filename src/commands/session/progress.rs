@@ -186,7 +186,7 @@ impl SessionProgress {
         self.candidates = counts.total.unwrap_or(last);
         let text = proposed(candidate, purpose, why, counts);
         self.proposed(candidate, purpose, &text, counts);
-        self.line(text + &left_in_all(self.time_left(), counts));
+        self.line(text + &left_in_all(self.time_left(), purpose, counts));
     }
 
     /// Shows an update of a training.
@@ -346,10 +346,15 @@ fn proposed(candidate: u32, purpose: Purpose, why: &str, counts: &CandidateCount
 }
 
 /// The end of a proposal's line that says how much time is left, or at most is left in a search
-/// that may end early; empty if it is not known.
-fn left_in_all(left: Option<Duration>, counts: &CandidateCounts) -> String {
-    let at_most = if counts.total.is_none() { "at most " } else { "" };
-    left.map_or(String::new(), |left| format!("; {at_most}about {} left in all", in_words(left)))
+/// that may end early; empty if it is not known. It is not known while such a search verifies a
+/// policy, which needs no training and may be its last.
+fn left_in_all(left: Option<Duration>, purpose: Purpose, counts: &CandidateCounts) -> String {
+    let Some(left) = left.map(in_words) else { return String::new() };
+    match counts.total {
+        Some(_) => format!("; about {left} left in all"),
+        None if purpose.verifies() => String::new(),
+        None => format!("; at most about {left} left in all"),
+    }
 }
 
 /// A verdict in words.
@@ -391,13 +396,14 @@ mod tests {
 
     #[test]
     fn the_time_left_of_a_search_that_may_end_early_is_a_limit() {
-        let told = |total, left| {
-            left_in_all(left, &CandidateCounts { searched: 3, most_searched: 10, total })
+        let told = |total, purpose, left| {
+            left_in_all(left, purpose, &CandidateCounts { searched: 3, most_searched: 10, total })
         };
         let left = Some(Duration::from_secs(240));
-        assert_eq!(told(Some(12), left), "; about 4 min left in all");
-        assert_eq!(told(None, left), "; at most about 4 min left in all");
-        assert_eq!(told(None, None), "");
+        assert_eq!(told(Some(12), Purpose::Search, left), "; about 4 min left in all");
+        assert_eq!(told(None, Purpose::Search, left), "; at most about 4 min left in all");
+        assert_eq!(told(None, Purpose::Incumbent, left), "");
+        assert_eq!(told(None, Purpose::Search, None), "");
     }
 
     #[test]
