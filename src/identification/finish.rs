@@ -2,7 +2,7 @@
 
 use super::Unknown;
 use super::fit::Fit;
-use super::residuals::{Noise, Residual, noise_from_residuals, robust_cost};
+use super::residuals::{Noise, updated_noise};
 use super::stretch::Stretch;
 use crate::qube::{DomainParameters, Nonidealities, Nonideality};
 
@@ -32,15 +32,12 @@ impl Fit<'_> {
         let beside: Vec<Self> = beside.collect();
         for mut other in std::iter::once(begin).chain(beside) {
             other.minimise();
-            other.noise = other.noise_of_result();
-            // Compared before the run as well, because most others are far from it and a run takes
-            // several times as long as the comparison.
-            let own = self.negative_log_density();
-            if other.negative_log_density() < own {
+            let residuals = other.residuals_rad();
+            other.noise =
+                updated_noise(&other.stretches, &residuals, &other.noise, self.plant.encoders);
+            if other.log_scales() < self.log_scales() {
                 other.run();
-                if other.negative_log_density() < own {
-                    *self = other;
-                }
+                *self = other;
             }
         }
     }
@@ -76,26 +73,15 @@ impl Fit<'_> {
         Some(other)
     }
 
-    /// Scale and correlation of the residuals of the model and start states as they are.
-    fn noise_of_result(&self) -> [Noise; 3] {
-        noise_from_residuals(&self.stretches, &self.residuals_rad(), self.plant.encoders)
-    }
-
-    /// The negative logarithm, up to a constant, of the density that the fit maximises, with the
-    /// scales that its residuals have. All residuals count as independent, so that two fits whose
-    /// residuals are correlated differently can be compared. A stretch that has lost weight costs
-    /// what [`robust_cost`] says: without that, a fit would gain by giving stretches up.
-    fn negative_log_density(&self) -> f64 {
-        let residuals = self.residuals_rad();
-        let noise = noise_from_residuals(&self.stretches, &residuals, self.plant.encoders);
-        let of_stretch = |(stretch, residuals): (&Stretch<'_>, &Vec<Residual>)| {
-            let scale = noise[stretch.regime as usize].scale;
-            let independent = Noise { scale, autocorrelation_samples: 1.0 };
-            residuals.len() as f64 * (scale.theta_rad.ln() + scale.alpha_rad.ln())
-                + 0.5 * robust_cost(&independent, residuals)
+    /// The logarithms of the estimated scales of the residuals, summed over all residuals. The
+    /// smaller the sum, the more likely are the recordings: up to a constant it approximates the
+    /// negative log likelihood of normal residuals with the estimated scales.
+    fn log_scales(&self) -> f64 {
+        let of = |stretch: &Stretch<'_>| {
+            let scale = &self.noise(stretch.regime).scale;
+            stretch.range().len() as f64 * (scale.theta_rad.ln() + scale.alpha_rad.ln())
         };
-        self.stretches.iter().zip(&residuals).map(of_stretch).sum::<f64>()
-            + 0.5 * self.prior_cost(&self.model, &self.offsets)
+        self.stretches.iter().map(of).sum()
     }
 }
 

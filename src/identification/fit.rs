@@ -297,23 +297,19 @@ impl<'a> Fit<'a> {
         self.stretches.iter().zip(starts).zip(&self.recording).map(of).collect()
     }
 
-    fn noise(&self, regime: Regime) -> &Noise {
+    pub(super) fn noise(&self, regime: Regime) -> &Noise {
         &self.noise[regime as usize]
     }
 
-    /// The cost that a fit minimises: the robust costs of the stretches and those of the priors. NaN
-    /// when the motion diverges.
+    /// The cost that a fit minimises: the robust costs of the stretches, and the squared distances
+    /// of unknowns and offsets from their priors, in standard deviations. NaN when the motion
+    /// diverges.
     fn cost(&self, model: &QubeModel, starts: &[State], offsets: &[Offset]) -> f64 {
         let costs = side_by_side(&self.pieces(starts), |&(stretch, start, recording)| {
             let own = self.own(model, recording, offsets);
             robust_cost(self.noise(stretch.regime), &residuals(stretch, own, start))
         });
-        costs.iter().sum::<f64>() + self.prior_cost(model, offsets)
-    }
-
-    /// The squared distances of unknowns and offsets from their priors, in standard deviations.
-    pub(super) fn prior_cost(&self, model: &QubeModel, offsets: &[Offset]) -> f64 {
-        let unknown_cost = |unknown: &Unknown| {
+        let prior_cost = |unknown: &Unknown| {
             let prior = unknown.prior(self.plant);
             ((unknown.of(model) - prior.mean) / prior.std).powi(2)
         };
@@ -325,7 +321,9 @@ impl<'a> Fit<'a> {
             };
             self.homing_offsets().iter().map(one).sum::<f64>()
         };
-        self.unknowns.iter().map(unknown_cost).sum::<f64>() + self.scatter.map_or(0.0, offset_cost)
+        costs.iter().sum::<f64>()
+            + self.unknowns.iter().map(prior_cost).sum::<f64>()
+            + self.scatter.map_or(0.0, offset_cost)
     }
 
     fn blocks(&self) -> Vec<Block> {
