@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicBool;
 use super::queue::Queue;
 use super::rollouts::all_of;
 use super::search::RecipePsi;
+use super::series::rollouts_of;
 use super::statistics::{
     Interval, bounded_mean_interval, mean, standard_deviation, wilson_interval,
 };
@@ -292,7 +293,8 @@ impl Experiment {
         let repetitions = recipe.settings.extent.repetitions;
         let folders = self.folder().policies(&recipe.name);
         let on = |plant: &Plant| {
-            all_of(&folders.rollouts(policy, &plant.name), self.settings().rollouts, repetitions)
+            let rollouts = rollouts_of(self.settings().seed, recipe, &folders, policy, plant);
+            all_of(&rollouts, self.settings().rollouts, repetitions)
         };
         self.settings().plants.iter().map(on).collect()
     }

@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::ExperimentError;
 use super::folder::make;
-use crate::recording::{RecordingError, read};
+use crate::recording::{Recording, RecordingError, read};
 use crate::rig::{Rig, RolloutPlan};
 use crate::scoring::{Behaviour, Quietness, Verdict, score_recording};
 use crate::session::{
@@ -59,6 +59,49 @@ impl RecordedState {
     }
 }
 
+/// A folder of recordings, and whose rollouts they are.
+pub(super) struct RolloutFolder {
+    /// Path of the folder.
+    pub path: PathBuf,
+    /// Policy that made all recordings; `None` for a folder that has recordings of several policies
+    /// and excitations.
+    pub policy: Option<PolicyOfFolder>,
+}
+
+/// A policy of an experiment, as the headers of its recordings name it.
+pub(super) struct PolicyOfFolder {
+    /// Number of the policy.
+    pub number: u32,
+    /// Name of the policy.
+    pub name: String,
+    /// Seed of its series.
+    pub seed: u64,
+}
+
+impl RolloutFolder {
+    /// Checks that a recording in this folder is of this attempt, by this policy. A recording of
+    /// another policy would count one rollout twice.
+    ///
+    /// # Errors
+    /// It is the recording of another rollout.
+    fn check(
+        &self,
+        recorded: &Recording,
+        path: &Path,
+        number: RolloutAttempt,
+    ) -> Result<(), ExperimentError> {
+        check_origin(recorded, path, self.policy.as_ref().map(|policy| policy.number), number)?;
+        let header = &recorded.header;
+        let is_its =
+            |policy: &PolicyOfFolder| policy.name == header.policy && policy.seed == header.seed;
+        if self.policy.as_ref().is_none_or(is_its) {
+            return Ok(());
+        }
+        let found = format!("a rollout of the policy {} with seed {}", header.policy, header.seed);
+        Err(SessionError::RecordingMisplaced { path: path.to_owned(), found }.into())
+    }
+}
+
 /// Path of the policy whose rollouts are in this folder. The folders of excitations have none.
 fn policy_beside(rollouts: &Path) -> PathBuf {
     PolicyPaths::in_folder(rollouts.parent().unwrap_or(rollouts)).policy()
@@ -68,22 +111,21 @@ fn policy_beside(rollouts: &Path) -> PathBuf {
 /// if the one before is void. An attempt is due again if its recording is unfinished, or unreadable
 /// after a crash.
 fn state_of(
-    rollouts: &Path,
+    rollouts: &RolloutFolder,
     rollout: u32,
     repetitions: u32,
 ) -> Result<RecordedState, ExperimentError> {
     for attempt in 0..=repetitions {
         let number = RolloutAttempt { rollout, attempt };
-        let path = recording_in(rollouts, number);
+        let path = recording_in(&rollouts.path, number);
         let recorded = match read(&path) {
             Ok(recorded) => recorded,
             Err(RecordingError::Unreadable { .. }) => return Ok(RecordedState::Due { attempt }),
             Err(error) if error.is_absence() => return Ok(RecordedState::Due { attempt }),
             Err(error) => return Err(error.into()),
         };
-        // A file in the wrong place would count a rollout twice, or for another policy.
-        check_origin(&recorded, &path, None, number)?;
-        check_policy(&recorded, &MachineDisk, &policy_beside(rollouts))?;
+        rollouts.check(&recorded, &path, number)?;
+        check_policy(&recorded, &MachineDisk, &policy_beside(&rollouts.path))?;
         match (score_recording(&recorded), Behaviour::of(&recorded)) {
             (Verdict::Result { return_, .. }, Some(behaviour)) => {
                 let quietness = Quietness::of(&recorded.ticks, &recorded.header.settings.plant);
@@ -99,7 +141,7 @@ fn state_of(
 
 /// The results of several rollouts in a folder; `None` where some are missing.
 pub(super) fn all_of(
-    folder: &Path,
+    folder: &RolloutFolder,
     rollouts: u32,
     repetitions: u32,
 ) -> Result<Option<Vec<RolloutResult>>, ExperimentError> {
@@ -111,7 +153,7 @@ pub(super) fn all_of(
 /// # Errors
 /// A recording cannot be read.
 pub(super) fn finished_result(
-    folder: &Path,
+    folder: &RolloutFolder,
     rollout: u32,
     repetitions: u32,
 ) -> Result<Option<RolloutResult>, ExperimentError> {
@@ -124,7 +166,7 @@ pub(super) fn finished_result(
 /// # Errors
 /// A recording cannot be read.
 pub(super) fn scored_recording(
-    folder: &Path,
+    folder: &RolloutFolder,
     rollout: u32,
     repetitions: u32,
 ) -> Result<Option<PathBuf>, ExperimentError> {
@@ -139,7 +181,7 @@ pub(super) fn scored_recording(
 /// # Errors
 /// A recording cannot be read.
 pub(super) fn is_complete(
-    folder: &Path,
+    folder: &RolloutFolder,
     rollout: u32,
     repetitions: u32,
 ) -> Result<bool, ExperimentError> {
@@ -149,7 +191,7 @@ pub(super) fn is_complete(
 /// A rollout, together with the repetitions that void attempts make necessary.
 pub(super) struct Repeated<'a> {
     /// Folder of the rollout's recordings.
-    pub folder: &'a Path,
+    pub folder: &'a RolloutFolder,
     /// Plan of the rollout; each attempt puts in its own number.
     pub plan: RolloutPlan,
     /// Bytes of the policy file.
@@ -174,7 +216,7 @@ impl Repeated<'_> {
         &self,
         mut with_rig: impl FnMut(u32, &mut Record<'_>) -> Result<(), ExperimentError>,
     ) -> Result<RolloutResult, ExperimentError> {
-        make(self.folder)?;
+        make(&self.folder.path)?;
         loop {
             let attempt = match state_of(self.folder, self.plan.rollout, self.repetitions)? {
                 RecordedState::Scored { result, .. } => return Ok(result),
@@ -184,8 +226,10 @@ impl Repeated<'_> {
             if self.stop.load(Ordering::Relaxed) {
                 return Err(SessionError::Stopped.into());
             }
-            let path =
-                recording_in(self.folder, RolloutAttempt { rollout: self.plan.rollout, attempt });
+            let path = recording_in(
+                &self.folder.path,
+                RolloutAttempt { rollout: self.plan.rollout, attempt },
+            );
             if MachineDisk.exists(&path) {
                 put_aside(&MachineDisk, &path)?;
             }
@@ -205,9 +249,10 @@ mod tests {
     #[test]
     fn a_recording_that_cannot_be_looked_at_is_not_made_again() {
         let directory = tempfile::tempdir().unwrap();
-        assert!(!is_complete(directory.path(), 0, 0).unwrap());
+        let folder = RolloutFolder { path: directory.path().to_owned(), policy: None };
+        assert!(!is_complete(&folder, 0, 0).unwrap());
         let path = recording_in(directory.path(), RolloutAttempt::FIRST);
         std::os::unix::fs::symlink(&path, &path).unwrap();
-        assert!(is_complete(directory.path(), 0, 0).is_err());
+        assert!(is_complete(&folder, 0, 0).is_err());
     }
 }

@@ -3,7 +3,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use super::folder::{PolicyFolders, make};
-use super::rollouts::{Record, Repeated};
+use super::rollouts::{PolicyOfFolder, Record, Repeated, RolloutFolder};
 use super::{ExperimentError, Made, Plant, Recipe, RolloutResult};
 use crate::jobs::{CHOSEN_OF_STARTS, Competition, Executor, TrainingJob, TrainingScore};
 use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_on_new_starts};
@@ -227,7 +227,7 @@ impl PolicySeries<'_> {
         mut with_rig: impl FnMut(u32, u32, &mut Record<'_>) -> Result<(), ExperimentError>,
     ) -> Result<Ran, ExperimentError> {
         let file = Policy::load(&self.folders.policy(policy).policy())?.to_bytes();
-        let folder = self.folders.rollouts(policy, &plant.name);
+        let folder = self.rollouts(policy, plant);
         let mut made = Made::Earlier;
         let results: Result<_, ExperimentError> = (0..rollouts)
             .map(|rollout| {
@@ -247,6 +247,11 @@ impl PolicySeries<'_> {
         Ok(Ran { results: results?, made })
     }
 
+    /// The folder of a policy's rollouts on a plant.
+    pub fn rollouts(&self, policy: u32, plant: &Plant) -> RolloutFolder {
+        rollouts_of(self.seed, self.recipe, &self.folders, policy, plant)
+    }
+
     fn plan(&self, policy: u32, rollout: u32) -> RolloutPlan {
         let settings = &self.recipe.settings;
         RolloutPlan {
@@ -256,11 +261,30 @@ impl PolicySeries<'_> {
             attempt: 0,
             psi: self.psi.map(Psi::named_values).unwrap_or_default(),
             seed: self.seed,
-            policy: format!("{} {policy}", self.recipe.name),
+            policy: policy_name(self.recipe, policy),
             estimator: settings.estimator,
             safety_box: settings.safety_box,
             steps: settings.extent.steps,
         }
+    }
+}
+
+/// The name of a recipe's policy in its recordings.
+fn policy_name(recipe: &Recipe, policy: u32) -> String {
+    format!("{} {policy}", recipe.name)
+}
+
+/// The folder of a policy's rollouts on a plant; `seed` is that of the policy's series.
+pub(super) fn rollouts_of(
+    seed: u64,
+    recipe: &Recipe,
+    folders: &PolicyFolders,
+    policy: u32,
+    plant: &Plant,
+) -> RolloutFolder {
+    RolloutFolder {
+        path: folders.rollouts(policy, &plant.name),
+        policy: Some(PolicyOfFolder { number: policy, name: policy_name(recipe, policy), seed }),
     }
 }
 

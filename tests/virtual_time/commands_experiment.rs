@@ -166,6 +166,23 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
         }
         std::fs::write(policies.join(to), kept).unwrap();
     }
+    // So is the whole folder of a policy in the place of another.
+    let recording = "lab/rollout-0-attempt-0.mcap";
+    let copied = ["policy.safetensors", recording, "lab/rollout-1-attempt-0.mcap"];
+    let kept = copied.map(|file| std::fs::read(policies.join("001").join(file)).unwrap());
+    for file in copied {
+        std::fs::copy(policies.join("000").join(file), policies.join("001").join(file)).unwrap();
+    }
+    for table in [&["--table"][..], &[]] {
+        let resume = [&["--resume", "one"], table].concat();
+        let output = experiment(whole.path(), &resume).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(3), "{told}");
+        assert!(told.contains(&format!("policies/tiny-nominal/001/{recording}")), "{told}");
+    }
+    for (file, kept) in copied.iter().zip(kept) {
+        std::fs::write(policies.join("001").join(file), kept).unwrap();
+    }
     // A policy that is damaged is trained again, to the same bytes.
     std::fs::write(policies.join("001/policy.safetensors"), "cut off").unwrap();
     assert_eq!(table(whole.path()), expected);

@@ -241,10 +241,11 @@ fn row_name(method: Method, budget: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::methods::samples::{experiment, record, run, swings};
+    use crate::experiment::methods::samples::{experiment, record, record_with, run, swings};
     use crate::policy::{Excitation, ExcitationShape, Policy};
+    use crate::recording::samples::header;
     use crate::session::{RolloutAttempt, recording_in};
-    use crate::telemetry::{Ending, Fault};
+    use crate::telemetry::{Ending, Fault, RolloutHeader};
 
     #[test]
     fn a_method_knows_the_first_budget_of_its_recommendations() {
@@ -266,10 +267,6 @@ mod tests {
         let experiment = experiment(root.path(), vec![Method::Posterior]);
         let settings = experiment.settings().methods.as_ref().unwrap();
         let run = run(&experiment, Method::Posterior, Access::ReadOnly);
-        record(&run, RolloutAttempt::FIRST, Ending::Completed, 300, swings);
-        let recordings = run.recordings();
-        let scored = root.path().join("scored.mcap");
-        std::fs::rename(recording_in(&recordings, RolloutAttempt::FIRST), &scored).unwrap();
         for rollout in 0..2 {
             for attempt in 0..=run.recipe.settings.extent.repetitions {
                 let void = Ending::Fault(Fault::EncoderFrozen);
@@ -284,9 +281,19 @@ mod tests {
         std::fs::create_dir_all(policy.parent().unwrap()).unwrap();
         let excitation = Excitation::of_rollout(ExcitationShape::Chirp, 1.5, 0);
         std::fs::write(&policy, Policy::Excitation(excitation).to_bytes()).unwrap();
-        let folder = series.folders.rollouts(0, &run.plant.name);
-        std::fs::create_dir_all(&folder).unwrap();
-        std::fs::rename(scored, recording_in(&folder, RolloutAttempt::FIRST)).unwrap();
+        let folder = series.rollouts(0, &run.plant);
+        std::fs::create_dir_all(&folder.path).unwrap();
+        let by = folder.policy.unwrap();
+        let header = RolloutHeader {
+            candidate: Some(by.number),
+            policy: by.name,
+            seed: by.seed,
+            rollout: 0,
+            attempt: 0,
+            ..header()
+        };
+        let scored = recording_in(&folder.path, RolloutAttempt::FIRST);
+        record_with(&scored, header, Ending::Completed, 300, swings);
 
         let trial = Trial { plant: 0, method: Method::Posterior, number: 0 };
         let results = experiment.at_budgets(settings, trial, Access::ReadOnly).unwrap();

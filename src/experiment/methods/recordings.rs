@@ -2,7 +2,9 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::run::MethodRun;
-use crate::experiment::rollouts::{Repeated, finished_result, is_complete, scored_recording};
+use crate::experiment::rollouts::{
+    Repeated, RolloutFolder, finished_result, is_complete, scored_recording,
+};
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, RolloutResult};
 use crate::identification::{RecordingsError, excitation_after};
@@ -42,6 +44,12 @@ impl<'a> MethodRecordings<'a> {
         self.run.recordings()
     }
 
+    /// The folder as one of rollouts. The methods of a repetition share it, and each may have made
+    /// its recordings.
+    fn rollouts(&self) -> RolloutFolder {
+        RolloutFolder { path: self.folder(), policy: None }
+    }
+
     /// Largest number of repetitions of a recording after void attempts.
     fn repetitions(&self) -> u32 {
         self.run.recipe.settings.extent.repetitions
@@ -66,7 +74,7 @@ impl<'a> MethodRecordings<'a> {
             }
         };
         let repeated = Repeated {
-            folder: &self.folder(),
+            folder: &self.rollouts(),
             plan: RolloutPlan {
                 session: format!("{} of {}", run.name, experiment.settings().name),
                 candidate: None,
@@ -99,7 +107,7 @@ impl<'a> MethodRecordings<'a> {
     /// # Errors
     /// A recording cannot be read.
     pub fn path(&self, number: u32) -> Result<Option<PathBuf>, ExperimentError> {
-        scored_recording(&self.folder(), number, self.repetitions())
+        scored_recording(&self.rollouts(), number, self.repetitions())
     }
 
     /// The reason why a recording is not used, in words. Files are named within the folder, so that
@@ -113,7 +121,7 @@ impl<'a> MethodRecordings<'a> {
     /// # Errors
     /// A recording cannot be read.
     pub fn results(&self, numbers: Range<u32>) -> Result<Vec<RolloutResult>, ExperimentError> {
-        let result = |number| finished_result(&self.folder(), number, self.repetitions());
+        let result = |number| finished_result(&self.rollouts(), number, self.repetitions());
         numbers.map_while(|number| result(number).transpose()).collect()
     }
 
@@ -124,7 +132,7 @@ impl<'a> MethodRecordings<'a> {
     /// A recording cannot be read.
     pub fn complete_from(&self, known: u32, count: u32) -> Result<u32, ExperimentError> {
         let mut complete = known;
-        while complete < count && is_complete(&self.folder(), complete, self.repetitions())? {
+        while complete < count && is_complete(&self.rollouts(), complete, self.repetitions())? {
             complete += 1;
         }
         Ok(complete)

@@ -97,7 +97,7 @@ pub(super) fn trained_and_run(
         let made = made.max(Made::now_if(trained.is_some()));
         return Ok(OnDisk::Found(Ran { results, made }));
     }
-    let folder = series.folders.rollouts(policy, &plant.name);
+    let folder = series.rollouts(policy, plant);
     let results = all_of(&folder, rollouts, series.recipe.settings.extent.repetitions)?;
     Ok(match results {
         Some(results) => OnDisk::Found(Ran { results, made: Made::Earlier }),

@@ -78,9 +78,20 @@ pub fn record(
     std::fs::create_dir_all(&folder).unwrap();
     let path = recording_in(&folder, attempt);
     let RolloutAttempt { rollout, attempt } = attempt;
-    let mut header = RolloutHeader { candidate: None, rollout, attempt, ..samples::header() };
+    let header = RolloutHeader { candidate: None, rollout, attempt, ..samples::header() };
+    record_with(&path, header, ending, steps, motion);
+}
+
+/// Writes a recording with this header.
+pub fn record_with(
+    path: &Path,
+    mut header: RolloutHeader,
+    ending: Ending,
+    steps: u32,
+    motion: impl Fn(f64) -> State,
+) {
     header.settings.calibration.theta_zero_counts = 0;
-    let mut writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
+    let mut writer = RolloutWriter::create(&MachineDisk, path, header, samples::POLICY).unwrap();
     let encoders = PlantModel::QUBE.encoders;
     for tick in 0..steps {
         let state = motion(f64::from(tick) * 0.01);
