@@ -59,7 +59,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             );
             loss.map_or(Ok(()), |loss| Err(failures::incomplete(&arguments.file, &loss)))
         }
-        Recovered::Saved { ticks, lost_bytes, has_outcome } => {
+        Recovered::Saved { ticks, missing_ticks, lost_bytes, has_outcome } => {
             output.print(
                 &format!("{}: {ticks} ticks saved", one_line(&out.display().to_string())),
                 &json!({
@@ -67,16 +67,18 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                     "was_whole": false,
                     "recovered": out.to_string_lossy(),
                     "ticks": ticks,
+                    "missing_ticks": missing_ticks,
                     "lost_bytes": lost_bytes,
                     "has_outcome": has_outcome,
                 }),
             );
-            if lost_bytes == 0 && has_outcome {
+            if lost_bytes == 0 && missing_ticks == 0 && has_outcome {
                 return Ok(());
             }
             let outcome = if has_outcome { "is" } else { "is not" };
             Err(Failure::data_lost(format!(
-                "{path}: {lost_bytes} bytes could not be saved; how the rollout ended {outcome} known"
+                "{path}: {lost_bytes} bytes could not be saved; {missing_ticks} ticks are missing before the last one; \
+                 how the rollout ended {outcome} known"
             )))
         }
     }

@@ -53,6 +53,13 @@ impl Recording {
             || self.ticks.first().is_some_and(|first| first.tick != 0)
     }
 
+    /// Number of ticks that are missing before or between the recorded ones.
+    #[must_use]
+    pub fn missing_ticks(&self) -> usize {
+        let before = self.ticks.last().map_or(0, |last| last.tick as usize + 1);
+        before.saturating_sub(self.ticks.len())
+    }
+
     /// Missing part of the recording, in words that follow "the recording"; `None` if the file has
     /// every tick and the outcome.
     #[must_use]
@@ -63,7 +70,7 @@ impl Recording {
         }
         if self.lacks_ticks() {
             let before = self.ticks.last().map_or(0, |last| last.tick as usize + 1);
-            let missing = before.saturating_sub(ticks);
+            let missing = self.missing_ticks();
             return Some(format!("lacks {missing} of the first {before} ticks of its rollout"));
         }
         let unended = self.outcome.is_none();
@@ -104,15 +111,17 @@ pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, Record
 /// policy were complete, or were changed after the recording was finished.
 pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     let scan = checked_scan(bytes)?;
-    let damage = scan.damage.as_ref().map(|Damage { offset, reason }| Unreadable::Damaged {
-        offset: *offset as u64,
-        reason: reason.to_string(),
-    });
+    let damage = scan.damage.as_ref().map(damaged);
     let recording = recording(scan)?;
     match damage {
         Some(damage) if is_finished(bytes) => Err(damage),
         _ => Ok(recording),
     }
+}
+
+/// The error for a damage after which an intact part is left.
+fn damaged(Damage { offset, reason }: &Damage) -> Unreadable {
+    Unreadable::Damaged { offset: *offset as u64, reason: reason.to_string() }
 }
 
 /// Whether a file begins as every recording does.
@@ -166,7 +175,12 @@ pub(super) fn recording(scan: Scan) -> Result<Recording, Unreadable> {
         }
         None => None,
     };
-    let Some(policy) = &scan.policy else { return Err(missing("it has no policy attached")) };
+    let Some(policy) = &scan.policy else {
+        return Err(match &scan.damage {
+            Some(damage) if !scan.ticks.is_empty() => damaged(damage),
+            _ => missing("it has no policy attached"),
+        });
+    };
     let completeness = match scan.first_damage() {
         Some(reason) => Completeness::CutOff { lost_bytes: scan.lost_bytes, reason },
         None if scan.metadata.contains_key(metadata::RECOVERED) => Completeness::Recovered,

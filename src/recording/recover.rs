@@ -19,6 +19,8 @@ pub enum Recovered {
     Saved {
         /// Number of ticks saved.
         ticks: usize,
+        /// Number of ticks that are missing before or between the saved ones.
+        missing_ticks: usize,
         /// Number of bytes of the old file that could not be used; its index does not count.
         lost_bytes: u64,
         /// Whether the outcome was saved.
@@ -45,7 +47,8 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
     }
     let recording = recording(scan).map_err(unreadable)?;
     let Some(damage) = damage else { return Ok(Recovered::WasWhole { loss: recording.loss() }) };
-    let (ticks, has_outcome) = (recording.ticks.len(), recording.outcome.is_some());
+    let (ticks, missing_ticks) = (recording.ticks.len(), recording.missing_ticks());
+    let has_outcome = recording.outcome.is_some();
     let lost = BTreeMap::from([
         ("lost_bytes".to_owned(), lost_bytes.to_string()),
         ("reason".to_owned(), damage),
@@ -55,7 +58,7 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => RecordingError::DiskFull { path },
         _ => RecordingError::Create { path, source },
     })?;
-    Ok(Recovered::Saved { ticks, lost_bytes, has_outcome })
+    Ok(Recovered::Saved { ticks, missing_ticks, lost_bytes, has_outcome })
 }
 
 /// The bytes of a complete recording; `path` only appears in errors.
@@ -100,12 +103,27 @@ mod tests {
 
         let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
         assert!(
-            matches!(recovered, Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true }),
+            matches!(
+                recovered,
+                Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true, .. }
+            ),
             "{recovered:?}"
         );
         let recording = read(&saved).unwrap();
         assert_eq!(recording.completeness, Completeness::Recovered);
         assert!(recording.lacks_ticks());
+        // What the first recovery lacks is still lost when its own end is cut off and recovered.
+        let (cut, again) = (directory.path().join("c.mcap"), directory.path().join("d.mcap"));
+        let whole = std::fs::read(&saved).unwrap();
+        std::fs::write(&cut, &whole[..whole.len() - 100]).unwrap();
+        let recovered = recover(&MachineDisk, &cut, &again).unwrap();
+        assert!(
+            matches!(
+                recovered,
+                Recovered::Saved { ticks: 30, missing_ticks: 10, lost_bytes: 0, .. }
+            ),
+            "{recovered:?}"
+        );
         assert_eq!(recording.outcome, Some(outcome()));
         assert_eq!(std::fs::read(&damaged).unwrap(), bytes, "the old file stays");
         assert_eq!(
@@ -126,6 +144,8 @@ mod tests {
         std::fs::write(&damaged, &bytes).unwrap();
         let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
         assert!(matches!(recovered, Recovered::Saved { ticks: 40, .. }), "{recovered:?}");
+        let told = read(&damaged).unwrap_err().to_string();
+        assert!(told.contains("Its intact part can be saved"), "{told}");
         let recording = read(&saved).unwrap();
         assert_eq!(all_bits(&recording.ticks), all_bits(&ticks(40)));
         assert!(recording.policy.is_empty());
@@ -148,7 +168,7 @@ mod tests {
             assert!(
                 matches!(
                     recovered,
-                    Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true }
+                    Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true, .. }
                 ),
                 "{first}: {recovered:?}"
             );
@@ -167,7 +187,10 @@ mod tests {
         std::fs::write(&damaged, &bytes).unwrap();
         let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
         assert!(
-            matches!(recovered, Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true }),
+            matches!(
+                recovered,
+                Recovered::Saved { ticks: 30, lost_bytes: 1.., has_outcome: true, .. }
+            ),
             "{recovered:?}"
         );
     }
@@ -182,7 +205,10 @@ mod tests {
         std::fs::write(&damaged, &bytes).unwrap();
         let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
         assert!(
-            matches!(recovered, Recovered::Saved { ticks: 40, lost_bytes: 1.., has_outcome: true }),
+            matches!(
+                recovered,
+                Recovered::Saved { ticks: 40, lost_bytes: 1.., has_outcome: true, .. }
+            ),
             "{recovered:?}"
         );
         assert_eq!(all_bits(&read(&saved).unwrap().ticks), all_bits(&ticks(40)));
@@ -241,7 +267,8 @@ mod tests {
             let path = |name: &str| directory.path().join(format!("{kept}-{name}.mcap"));
             std::fs::write(path("cut"), &bytes[..kept]).unwrap();
             let recovered = recover(&MachineDisk, &path("cut"), &path("saved")).unwrap();
-            let whole = Recovered::Saved { ticks: 20, lost_bytes: 0, has_outcome: true };
+            let whole =
+                Recovered::Saved { ticks: 20, missing_ticks: 0, lost_bytes: 0, has_outcome: true };
             assert_eq!(recovered, whole, "{kept} of {} bytes", bytes.len());
         }
     }
@@ -271,7 +298,7 @@ mod tests {
         assert!(
             matches!(
                 recovered,
-                Recovered::Saved { ticks: 20, lost_bytes: 1.., has_outcome: false }
+                Recovered::Saved { ticks: 20, lost_bytes: 1.., has_outcome: false, .. }
             ),
             "{recovered:?}"
         );
