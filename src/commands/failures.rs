@@ -29,7 +29,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
     let fault = error.fault();
     let failure = match error {
         RigError::Stopped { .. } => stop.failure(error),
-        RigError::Homing { .. } | RigError::LinkLost { .. } => {
+        RigError::Homing { .. } | RigError::LinkLost { .. } | RigError::Travel { .. } => {
             let then = match error.doubt() {
                 Some(_) => format!(" {THEN_ACKNOWLEDGE}."),
                 None => String::new(),
@@ -37,7 +37,6 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
             Failure::fault(format!("{error}{then}{}", with_last_ticks(&error)))
         }
         RigError::ThreadGone(_)
-        | RigError::Travel { .. }
         | RigError::Refused(_)
         | RigError::NotBegun { .. }
         | RigError::BoardChanged { .. }

@@ -71,15 +71,17 @@ pub enum RigError {
     /// The distance between the arm's stops is not the expected one.
     #[error(
         "the arm's stops are {travel_rad:.2} rad apart, and should be {expected_rad:.2}: something is in \
-         its way (a hand, a screw), its cable pulls harder than homing pushes, or this rig's stops are \
-         elsewhere. The motor is off. Turn the arm by hand from stop to stop, clear its way and start \
-         again{}", accept_travel(*travel_rad)
+         its way (a hand, a screw), its cable pulls harder than homing pushes, its encoder has another \
+         number of lines, or this rig's stops are elsewhere. The motor is off. Turn the arm by hand from \
+         stop to stop, clear its way, and check its encoder{}.", accept_travel(*travel_rad)
     )]
     Travel {
         /// Measured distance, rad.
         travel_rad: f64,
         /// Expected distance, rad.
         expected_rad: f64,
+        /// Doubt about the Qube.
+        doubt: Box<Doubt>,
     },
     /// The link failed before a rollout could begin, or the counts moved after homing, so that the
     /// zeros are out of date. The rollout has moved nothing.
@@ -259,7 +261,7 @@ impl RigError {
     #[must_use]
     pub fn doubt(&self) -> Option<&Doubt> {
         match self {
-            Self::InDoubt(doubt) => Some(doubt),
+            Self::InDoubt(doubt) | Self::Travel { doubt, .. } => Some(doubt),
             Self::Homing { doubt, .. } | Self::CheckFailed { doubt, .. } => doubt.as_deref(),
             _ => None,
         }

@@ -494,6 +494,7 @@ impl Rig {
                 Err(RigError::Travel {
                     travel_rad: found.travel_rad.unwrap_or_default(),
                     expected_rad: homing.expected_travel_rad(),
+                    doubt: Box::new(self.doubt(Fault::TravelWrong)),
                 })
             }
             (Some(fault), _) => {
