@@ -136,7 +136,7 @@ pub(super) fn wait(
     let clock = examined.clock;
     let start_ns = clock.now_ns();
     let end_ns = start_ns + LONGEST_NS;
-    let mut width_rad = None;
+    let mut moved = None;
     while let Some(Window { arm, pendulum }) = Window::sample(examined, end_ns)? {
         let waited_ns = clock.now_ns() - start_ns;
         let waited_s = waited_ns as f64 * 1e-9;
@@ -149,13 +149,22 @@ pub(super) fn wait(
                 format!("the arm rests, the pendulum swings a little after {waited_s:.1} s");
             return Ok(CheckResult::pass(NAME, value));
         }
-        width_rad = Some(f64::from(pendulum.width()) * encoders.alpha.rad_per_count());
+        let arm_rad = f64::from(arm.width()) * encoders.theta.rad_per_count();
+        let pendulum_rad = f64::from(pendulum.width()) * encoders.alpha.rad_per_count();
+        moved = Some((arm_rad, pendulum_rad, arm.width() > arm_counts));
     }
-    Ok(match width_rad {
-        Some(width_rad) => CheckResult::fail(
+    Ok(match moved {
+        Some((arm_rad, pendulum_rad, arm_moves)) => CheckResult::fail(
             NAME,
-            format!("arm or pendulum still moves, the pendulum by {width_rad:.2} rad"),
-            "hold the pendulum until it hangs still, then check again",
+            format!(
+                "within 0.6 s the arm still moves by {arm_rad:.3} rad, the pendulum by {pendulum_rad:.3} rad"
+            ),
+            if arm_moves {
+                "take your hands off the arm and let the pendulum hang still; if the arm's angle goes on moving while \
+                 the arm stands still, check its encoder, its cable and its plug, then check again"
+            } else {
+                "hold the pendulum until it hangs still, then check again"
+            },
         ),
         None => CheckResult::fail(
             NAME,
@@ -238,6 +247,21 @@ mod tests {
             ExaminedDevice { device: &mut device, clock: &clock, stop: &stop, port: "here" };
         let result = wait(&mut examined, Encoders::QUBE);
         (result, clock.now_ns() as f64 * 1e-9)
+    }
+
+    #[test]
+    fn the_remedy_names_what_moves() {
+        let remedy_of = |moving: fn(i32) -> Measurement| {
+            let (result, _) = waited(move |number| Ok(moving(number as i32)));
+            result.unwrap().remedy.unwrap()
+        };
+        let arm = remedy_of(|number| Measurement { theta_counts: number, ..Default::default() });
+        assert!(arm.contains("check its encoder, its cable and its plug"), "{arm}");
+        let pendulum = remedy_of(|number| {
+            let alpha_counts = if number % 60 < 30 { 300 } else { -300 };
+            Measurement { alpha_counts, ..Default::default() }
+        });
+        assert!(pendulum.starts_with("hold the pendulum"), "{pendulum}");
     }
 
     #[test]
