@@ -40,8 +40,9 @@ pub enum JobFolderError {
     },
     /// The processor lacks fused multiply-add (FMA), so that its policies would differ.
     #[error(
-        "the processor of {host} has no fused multiply-add (FMA), so that its policies would differ from those of other \
-         computers: start no worker on it"
+        "the program would train on {host} without fused multiply-add (FMA), because its processor has \
+         none or because a plainer instruction set was asked for, so that its policies would differ from those of other \
+         computers: start no such worker"
     )]
     NoFma {
         /// Name of the computer.
