@@ -65,6 +65,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
     let emulated_qube =
         (!device.choice.is_hardware()).then(|| settings.emulated.name(settings.plant()));
+    let plant = settings.plant().name;
     let which = emulated_qube.as_ref().map_or_else(String::new, |name| format!(" ({name})"));
     print_message(&format!("session with {}{which} in {}", device.described(), root.display()));
     for warning in warnings(&device, &rig_settings, &settings) {
@@ -85,7 +86,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         progress.update(&event);
         live.update(&event, progress.time_left());
     };
-    let complete = |json: &mut Value| json["emulated_qube"] = json!(emulated_qube);
+    let complete = |json: &mut Value| {
+        json["plant"] = json!(plant);
+        json["emulated_qube"] = json!(emulated_qube);
+    };
     let attended = AttendedSession { session, keyboard, screen, stop: &stop, resume: &resume };
     attended.run(&mut show, complete, started, output)
 }
