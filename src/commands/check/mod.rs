@@ -38,7 +38,7 @@ const WRITER: &str = "qube-hil check --write";
 /// The arm is pushed a little (0.1 s at most, with 0.25 V, and more only until arm and pendulum
 /// move enough) and then homed. Every command that drives a real Qube does the same before its
 /// first motion, unless --skip-check is given. Exit code 0 when no check failed, 1 when one failed,
-/// 2 when there is no Qube at that port.
+/// 2 when there is no Qube at that port, 4 when a fault ends the check, such as a link that fails.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil check --device /dev/ttyACM0\n  \
