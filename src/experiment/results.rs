@@ -293,7 +293,7 @@ impl Experiment {
         let repetitions = recipe.settings.extent.repetitions;
         let folders = self.folder().policies(&recipe.name);
         let on = |plant: &Plant| {
-            let rollouts = rollouts_of(self.settings().seed, recipe, &folders, policy, plant);
+            let rollouts = rollouts_of(recipe, &folders, policy, plant);
             all_of(&rollouts, self.settings().rollouts, repetitions)
         };
         self.settings().plants.iter().map(on).collect()

@@ -74,8 +74,6 @@ pub(super) struct PolicyOfFolder {
     pub number: u32,
     /// Name of the policy.
     pub name: String,
-    /// Seed of its series.
-    pub seed: u64,
 }
 
 impl RolloutFolder {
@@ -91,13 +89,11 @@ impl RolloutFolder {
         number: RolloutAttempt,
     ) -> Result<(), ExperimentError> {
         check_origin(recorded, path, self.policy.as_ref().map(|policy| policy.number), number)?;
-        let header = &recorded.header;
-        let is_its =
-            |policy: &PolicyOfFolder| policy.name == header.policy && policy.seed == header.seed;
-        if self.policy.as_ref().is_none_or(is_its) {
+        let name = &recorded.header.policy;
+        if self.policy.as_ref().is_none_or(|policy| policy.name == *name) {
             return Ok(());
         }
-        let found = format!("a rollout of the policy {} with seed {}", header.policy, header.seed);
+        let found = format!("a rollout of the policy {name}");
         Err(SessionError::RecordingMisplaced { path: path.to_owned(), found }.into())
     }
 }

@@ -249,7 +249,7 @@ impl PolicySeries<'_> {
 
     /// The folder of a policy's rollouts on a plant.
     pub fn rollouts(&self, policy: u32, plant: &Plant) -> RolloutFolder {
-        rollouts_of(self.seed, self.recipe, &self.folders, policy, plant)
+        rollouts_of(self.recipe, &self.folders, policy, plant)
     }
 
     fn plan(&self, policy: u32, rollout: u32) -> RolloutPlan {
@@ -274,9 +274,8 @@ fn policy_name(recipe: &Recipe, policy: u32) -> String {
     format!("{} {policy}", recipe.name)
 }
 
-/// The folder of a policy's rollouts on a plant; `seed` is that of the policy's series.
+/// The folder of a policy's rollouts on a plant.
 pub(super) fn rollouts_of(
-    seed: u64,
     recipe: &Recipe,
     folders: &PolicyFolders,
     policy: u32,
@@ -284,7 +283,7 @@ pub(super) fn rollouts_of(
 ) -> RolloutFolder {
     RolloutFolder {
         path: folders.rollouts(policy, &plant.name),
-        policy: Some(PolicyOfFolder { number: policy, name: policy_name(recipe, policy), seed }),
+        policy: Some(PolicyOfFolder { number: policy, name: policy_name(recipe, policy) }),
     }
 }
 

@@ -287,7 +287,6 @@ mod tests {
         let header = RolloutHeader {
             candidate: Some(by.number),
             policy: by.name,
-            seed: by.seed,
             rollout: 0,
             attempt: 0,
             ..header()
