@@ -9,8 +9,8 @@ const SPIN_NS: Nanoseconds = 100_000;
 /// A clock (`CLOCK_MONOTONIC`) for a thread that must not be late: it sleeps until shortly before
 /// the deadline and spins for the rest, and it can keep the processors awake.
 ///
-/// On a computer with a single processor it does not spin, because the spin would take the
-/// processor from the thread whose answer the tick waits for.
+/// On a computer with a single processor it does not spin by default, because the spin would take
+/// the processor from the thread whose answer the tick waits for.
 #[derive(Clone, Debug)]
 pub struct PunctualClock {
     sleeper: MonotonicClock,

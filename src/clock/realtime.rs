@@ -93,9 +93,9 @@ fn lock_memory() -> Result<(), std::io::Error> {
     Ok(mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)?)
 }
 
-/// Refuses to lock memory under a limit. All memory that the process allocates later would count
-/// towards the limit, and the first allocation beyond it, such as that of a training, would fail
-/// and end the program.
+/// Refuses to lock memory under a limit that the process may not exceed. All memory that the
+/// process allocates later would count towards the limit, and the first allocation beyond it, such
+/// as that of a training, would fail and end the program.
 fn check_lock_limit(limit_bytes: Option<u64>, may_exceed: bool) -> Result<(), std::io::Error> {
     match limit_bytes {
         Some(limit_bytes) if !may_exceed => {

@@ -184,8 +184,9 @@ impl OutputFolder {
         })
     }
 
-    /// Checks that the folder can be written, that the disk has enough space, and that no recording
-    /// in the folder has a number below `rollouts`.
+    /// Checks that the folder can be written, that the disk has enough space, that the folder is not
+    /// that of a session or an experiment, and that no recording in it has a number below
+    /// `rollouts`.
     pub fn check_for_recordings(&self, rollouts: u64) -> Result<(), Failure> {
         let names = fs::read_dir(&self.path)
             .map_err(|error| failures::not_written(&self.path, &error))?

@@ -239,11 +239,11 @@ impl EmulatedArguments {
 
     /// Refuses effects that change a force which this model does not have.
     fn check_effects(&self, model: &QubeModel) -> Result<(), Failure> {
-        let gap = &model.nonidealities;
+        let nonidealities = &model.nonidealities;
         for (name, value) in self.effect.iter().filter(|(_, value)| *value != 0.0) {
             let (has, force) = match name.as_str() {
-                "presliding_rad" | "stribeck" => (gap.coulomb_torque_n_m, "dry friction"),
-                "slack" => (gap.cable_stiffness_n_m_rad, "cable"),
+                "presliding_rad" | "stribeck" => (nonidealities.coulomb_torque_n_m, "dry friction"),
+                "slack" => (nonidealities.cable_stiffness_n_m_rad, "cable"),
                 _ => continue,
             };
             if has == 0.0 {

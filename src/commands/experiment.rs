@@ -150,7 +150,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 
-    /// Let --csv replace any file
+    /// Let --csv replace any file but a recording or the record of a session or an experiment
     #[arg(long, requires = "csv")]
     force: bool,
 
@@ -281,7 +281,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     ended
 }
 
-/// Everything that an experiment uses while it works: its rig, who trains, and who watches.
+/// Resources of an experiment while it works: rig, threads, executor, live view, screen and
+/// keyboard.
 struct Attached {
     rig: RigSettings,
     threads: usize,

@@ -48,7 +48,7 @@ pub struct Brake {
 
 #[derive(Clone, Copy, Debug)]
 enum Law {
-    /// Against the arm's velocity alone.
+    /// A damper alone: its voltage acts against the arm's velocity and ignores the angle.
     Stopping(StoppingBrake),
     /// The law that a [`super::Foresight`] simulates.
     Centring(CentringBrake),

@@ -1,5 +1,5 @@
-//! Seeded starts with one fault each, which show the arm's speed at a stop and the fault that is
-//! named; and rollouts in which the arm's encoder freezes.
+//! Seeded starts with at most one fault each, which show the arm's speed at a stop and the fault
+//! that is named; and rollouts in which the arm's encoder freezes.
 #![allow(dead_code, reason = "the tests and each example use their part")]
 
 pub mod case;

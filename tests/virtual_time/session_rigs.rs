@@ -80,7 +80,7 @@ fn is_killed_and_resumed(rig_policy: &str, first_file: &str, updates: u32) -> bo
     let killed = with_settings(updates);
     let mut child: Child = session_command(killed.path(), &begin(rig_policy)).spawn().unwrap();
     loop {
-        // It may end between the two questions, so the file is looked for last.
+        // The session may end between the two checks, so the file is looked for last.
         let has_ended = child.try_wait().unwrap().is_some();
         if killed.path().join("two").join(first_file).exists() {
             break;
@@ -377,7 +377,8 @@ fn attempts(entries: &[Entry]) -> Vec<String> {
 #[test]
 fn the_rollouts_of_a_rig_that_faults_are_made_by_the_other() {
     let directory = tempfile::tempdir().unwrap();
-    // A doubt, and a fault after which the link does not come back; each rollout has a new Qube.
+    // One fault causes a doubt, and after the other the link does not come back; each rollout has
+    // a new Qube.
     for (name, fault) in [("doubt", "amplifier@16.5"), ("silent", "silent@16.5")] {
         let root = directory.path().join(name);
         let mut session = shared(&root, [None, Some(fault)]);

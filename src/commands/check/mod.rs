@@ -1,4 +1,4 @@
-//! The command `check`: whether a Qube is fit to be driven.
+//! The command `check`: tests whether a Qube is fit to be driven.
 
 mod conformance;
 mod power_test;
@@ -161,8 +161,8 @@ struct WrittenFile {
 }
 
 impl Files {
-    /// Refuses, before anything moves, files that cannot be written and options that need a Qube at
-    /// a port.
+    /// Refuses, before anything moves, files that cannot be written, and without a Qube at a port
+    /// also the options that need one.
     fn prepare(arguments: &Arguments, device: &ChosenDevice) -> Result<Self, Failure> {
         if arguments.power_test && !device.choice.is_hardware() {
             return Err(Failure::usage(

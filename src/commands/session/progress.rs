@@ -346,13 +346,13 @@ fn proposed(candidate: u32, purpose: Purpose, why: &str, counts: &CandidateCount
 }
 
 /// The end of a proposal's line that says how much time is left, or at most is left in a search
-/// that may end early; empty if it is not known. It is not known while such a search verifies a
-/// policy, which needs no training and may be its last.
+/// that may end early; empty if it is not known. It is not known of such a search once a policy is
+/// verified or compared: this may be the last candidate.
 fn left_in_all(left: Option<Duration>, purpose: Purpose, counts: &CandidateCounts) -> String {
     let Some(left) = left.map(in_words) else { return String::new() };
     match counts.total {
         Some(_) => format!("; about {left} left in all"),
-        None if purpose.verifies() => String::new(),
+        None if !purpose.informs() => String::new(),
         None => format!("; at most about {left} left in all"),
     }
 }
@@ -403,6 +403,7 @@ mod tests {
         assert_eq!(told(Some(12), Purpose::Search, left), "; about 4 min left in all");
         assert_eq!(told(None, Purpose::Search, left), "; at most about 4 min left in all");
         assert_eq!(told(None, Purpose::Incumbent, left), "");
+        assert_eq!(told(None, Purpose::Baseline, left), "");
         assert_eq!(told(None, Purpose::Search, None), "");
     }
 

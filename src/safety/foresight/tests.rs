@@ -198,8 +198,8 @@ fn a_velocity_is_brought_up_to_date_after_lost_samples() {
 }
 
 /// Looks for states that are accepted before the horizon although the arm reaches an end within
-/// 1.5 s; panics if there is one. Each parameter has even odds to be at its limit of +-30 % or
-/// inside. Returns the number of states that are accepted early.
+/// 1.5 s; panics if there is one. Each parameter but gravity has even odds to be at its limit of
+/// +-30 % or inside. Returns the number of states that are accepted early.
 fn search_for_hasty_acceptance(seed: u64, particles: u32) -> u32 {
     let mut draw = Draw::new(seed);
     let mut early = 0;
@@ -252,7 +252,7 @@ fn an_arm_that_is_not_followed_to_the_horizon_never_reaches_an_end_in_a_long_sea
 #[test]
 fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
     let mut draw = Draw::new(1002);
-    // A second group that is not full.
+    // 70 particles make two groups, of which the second is not full.
     let particles: Vec<Particle> = (0..70).map(|_| draw.particle()).collect();
     let mut alone: Vec<_> = particles
         .iter()

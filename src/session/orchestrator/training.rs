@@ -281,9 +281,9 @@ impl Trainer {
         })
     }
 
-    /// The score of a policy of a candidate. It succeeds in simulations of the identified Qube; if
-    /// the identification is doubted, policies are compared in simulations that are
-    /// [`DOUBTED_WIDTH`] times as wide.
+    /// The score of a policy of a candidate. Whether the policy succeeds is decided in simulations
+    /// of the identified Qube. Policies are compared in the same simulations or, if the
+    /// identification is doubted, in simulations that are [`DOUBTED_WIDTH`] times as wide.
     ///
     /// # Errors
     /// The base distribution cannot be simulated.

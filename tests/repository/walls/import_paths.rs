@@ -195,9 +195,9 @@ impl Walk {
 enum Base {
     /// The path has not begun.
     Unknown,
-    /// In a module of this crate.
+    /// The path has reached a module of this crate.
     Inside(Vec<String>),
-    /// In another crate, or at a name of the module itself.
+    /// The path has reached another crate, or a name of the module itself.
     Outside(Vec<String>),
 }
 
