@@ -30,8 +30,6 @@ mod error;
 mod executor;
 pub mod folder;
 mod folder_executor;
-#[cfg(test)]
-mod folder_executor_tests;
 mod local;
 mod patience;
 pub mod starter;

@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use super::folder::{Heartbeat, Holder, JobFolder, Terms, Worker, WorkerEvent};
-use super::starter::{StartError, Starter, WorkerCount};
-use super::{AtEnd, Executor, FolderExecutor, JobError, JobFolderError, TrainingJob};
+use crate::jobs::folder::{Heartbeat, Holder, JobFolder, Terms, Worker, WorkerEvent};
+use crate::jobs::starter::{StartError, Starter, WorkerCount};
+use crate::jobs::{AtEnd, Executor, FolderExecutor, JobError, JobFolderError, TrainingJob};
 use crate::learning::{TrainError, TrainSettings, Trained};
 use crate::simulation::DomainDistribution;
 use crate::storage::{Disk, DiskFile, Existing, FolderLock, MachineDisk};
