@@ -43,26 +43,25 @@ pub struct Arguments {
     /// (0.1*theta_dot): sin_theta, cos_theta, sin_alpha, cos_alpha, theta_dot, alpha_dot (rad/s),
     /// command_1 to command_4 (the newest first, as fractions of 5 V). alpha is 0 where the
     /// pendulum hangs [default: this program's own observation]
-    #[arg(long, value_name = "NAMES", value_parser = ObservationLayout::parse, conflicts_with = "history", requires = "action_scale")]
+    #[arg(long, value_name = "NAMES", value_parser = ObservationLayout::parse, conflicts_with = "history")]
     observation: Option<ObservationLayout>,
 
     /// Number of last commands in this program's own observation, 0 to 4 [default: 0]
     #[arg(
         long,
         value_name = "COMMANDS",
-        value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64),
-        requires = "action_scale"
+        value_parser = clap::value_parser!(u8).range(..=MAX_HISTORY as i64)
     )]
     history: Option<u8>,
 
     /// Corner of the velocity filter with which the policy was trained, rad/s; it goes into the
     /// policy's record [default: 200]
-    #[arg(long, value_name = "RAD/S", value_parser = corner, requires = "action_scale")]
+    #[arg(long, value_name = "RAD/S", value_parser = corner)]
     filter: Option<f64>,
 
     /// Clip each entry of the observation, as the network sees it, between -LIMIT and LIMIT, as a
     /// training did outside of the exported network; a Clip in the file is kept without this
-    #[arg(long, value_name = "LIMIT", value_parser = limit, requires = "action_scale")]
+    #[arg(long, value_name = "LIMIT", value_parser = limit)]
     clip_observation: Option<f64>,
 
     /// File for the policy
@@ -79,6 +78,14 @@ const EXPORT_FAILED: &str = ". If torch.onnx.export failed, as its default expor
     Stable-Baselines3, use Policy.from_sb3 or Policy.from_torch of the Python package, or export with dynamo=False";
 
 impl Arguments {
+    /// Whether a convention of a foreign file was given.
+    fn gives_conventions(&self) -> bool {
+        self.observation.is_some()
+            || self.history.is_some()
+            || self.filter.is_some()
+            || self.clip_observation.is_some()
+    }
+
     /// The conventions of a foreign file, from the options; `None` without `--action-scale`, for a
     /// file that names its own.
     fn foreign(&self) -> Option<ForeignConventions> {
@@ -107,6 +114,10 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         ImportError::NoActionScale => refused(&format!("{error} (--action-scale)")),
         other => refused(&other),
     })?;
+    // Without a scale the file was read as one that this program wrote.
+    if arguments.action_scale.is_none() && arguments.gives_conventions() {
+        return Err(refused(&ImportError::OwnConventions));
+    }
     let (sizes, activation) = (policy.network.sizes().to_vec(), policy.network.activation());
     let policy = Policy::Network(policy);
     out.write(&policy.to_bytes())?;

@@ -29,14 +29,5 @@ impl PlantArgument {
 fn load(path: &Path) -> Result<PlantModel, Failure> {
     let text = read_text(path, SETTINGS_BYTES)
         .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
-    let plant = PlantModel::parse(&text)
-        .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
-    // A profile names the plant that it was fitted to, and no plant means the built-in Qube.
-    if plant.name.is_qube() && !plant.is_qube() {
-        return Err(Failure::usage(format!(
-            "{}: the name `qube` is that of the built-in Qube, and this plant is another one: give it a name of its own",
-            path.display()
-        )));
-    }
-    Ok(plant)
+    PlantModel::parse(&text).map_err(|error| Failure::usage(format!("{}: {error}", path.display())))
 }

@@ -19,6 +19,7 @@ use crate::replay::{
     simulate_from_first_state,
 };
 use crate::safety::{Contradiction, Foreseen};
+use crate::scoring::{Verdict, score_recording};
 use crate::storage::{Existing, MachineDisk, write_whole};
 use crate::telemetry::RolloutOutcome;
 
@@ -84,6 +85,9 @@ struct Report {
     /// Number of actions that could not be compared, because ticks before them are missing.
     #[serde(skip)]
     not_compared: usize,
+    /// Reason why the rollout is void, if it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    void: Option<String>,
     /// Note on the comparison, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     note: Option<&'static str>,
@@ -116,6 +120,9 @@ impl Report {
                 "return {recorded:.2}, recomputed {recomputed:.2}; {same} of {all} actions are the same bit for bit"
             ));
         }
+        let without_result =
+            |reason| format!("the rollout is void, its return does not count: {reason}");
+        lines.extend(self.void.as_ref().map(without_result));
         lines.extend(self.foreseen.as_ref().map(foreseen_text));
         let against = |it: Contradiction| format!("the guard ended the policy: {it}");
         lines.extend(self.contradiction.map(against));
@@ -323,6 +330,9 @@ fn rerun_recording(recording: &Recording, report: &mut Report) -> Result<Option<
     report.not_compared = rerun.not_compared;
     report.foreseen = rerun.foreseen;
     report.contradiction = rerun.contradiction;
+    if let Verdict::Void { reason } = score_recording(recording) {
+        report.void = Some(reason.to_string());
+    }
     report.note = rerun.ending_of_the_file.then_some(ENVELOPE_NOTE);
     Ok(findings(recording, &rerun)
         .map(|message| Problem::data_lost(one_line(&format!("{path}: {message}")))))

@@ -62,6 +62,12 @@ pub enum PlantError {
     /// The text is not TOML, lacks a key, or has an unknown one or an invalid value.
     #[error("{}", .0.to_string().trim_end())]
     Invalid(#[from] Box<toml::de::Error>),
+    /// Another plant has the name of the built-in Qube. Profiles name the plant that they were
+    /// fitted to, so its profiles would count as those of a Qube.
+    #[error(
+        "the name `qube` is that of the built-in Qube, and this plant is another one: give it a name of its own"
+    )]
+    NameOfQube,
 }
 
 impl PlantModel {
@@ -82,9 +88,15 @@ impl PlantModel {
     ///
     /// # Errors
     /// The text is not TOML, a key is missing or unknown, or a value has the wrong type or lies
-    /// outside its range. The message names the line.
+    /// outside its range; the message names the line. Or a plant that is not the built-in Qube has
+    /// the Qube's name.
     pub fn parse(text: &str) -> Result<Self, PlantError> {
-        Ok(toml::from_str(text).map_err(Box::new)?)
+        let plant: Self = toml::from_str(text).map_err(Box::new)?;
+        if plant.name.is_qube() && !plant.is_qube() {
+            Err(PlantError::NameOfQube)
+        } else {
+            Ok(plant)
+        }
     }
 
     /// Checks that every number is in the range that a file may give.
@@ -388,6 +400,9 @@ mod tests {
             let message = with(old, "");
             assert!(message.contains(&format!("missing field `{key}`")), "{message}");
         }
+        let old = LARGER.lines().find(|line| line.starts_with("name")).unwrap();
+        let message = with(old, "name = \"qube\"");
+        assert!(message.contains("give it a name of its own"), "{message}");
         let old = LARGER.lines().find(|line| line.starts_with("largest_voltage_v")).unwrap();
         let message = with(old, "largest_voltage_v = \"five\"");
         assert!(message.contains("f64") && !message.contains("wire"), "{message}");

@@ -369,16 +369,27 @@ mod named_parameters {
     pub fn deserialize<'de, D: Deserializer<'de>>(
         deserializer: D,
     ) -> Result<DomainParameters, D::Error> {
-        let named = BTreeMap::<String, f64>::deserialize(deserializer)?;
+        let named = BTreeMap::<Key, f64>::deserialize(deserializer)?;
         let mut parameters = DomainParameters::NOMINAL;
-        for (symbol, value) in named {
-            let parameter = DomainParameter::from_symbol(&symbol).ok_or_else(|| {
-                let known = DomainParameter::ALL.map(DomainParameter::symbol).join(", ");
-                D::Error::custom(format!("there is no parameter {symbol}; there are {known}"))
-            })?;
+        for (Key(parameter), value) in named {
             parameters.set(parameter, value);
         }
         Ok(parameters)
+    }
+
+    /// The symbol of a parameter as a key of the file. It is checked as the key is read, so that an
+    /// error names the key's line.
+    #[derive(PartialEq, Eq, PartialOrd, Ord)]
+    struct Key(DomainParameter);
+
+    impl<'de> Deserialize<'de> for Key {
+        fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+            let symbol = String::deserialize(deserializer)?;
+            DomainParameter::from_symbol(&symbol).map(Self).ok_or_else(|| {
+                let known = DomainParameter::ALL.map(DomainParameter::symbol).join(", ");
+                D::Error::custom(format!("there is no parameter {symbol}; there are {known}"))
+            })
+        }
     }
 }
 
@@ -402,6 +413,14 @@ mod tests {
         let words = "parameters: name M_p, which has no default for a plant other than the Qube";
         assert!(error.starts_with("line ") && error.ends_with(words), "{error}");
         assert!(without("g").is_ok());
+    }
+
+    #[test]
+    fn a_misspelt_parameter_is_named_with_its_line() {
+        let error = Profile::parse("name = \"x\"\n\n[parameters]\nM_p = 0.02\nM_q = 0.03\n");
+        let message = error.unwrap_err().to_string();
+        assert!(message.contains("line 5, column 1"), "{message}");
+        assert!(message.contains("there is no parameter M_q; there are g, "), "{message}");
     }
 
     #[test]

@@ -54,6 +54,7 @@ mod rollout;
 mod rollout_plan;
 mod settings;
 mod start_angle;
+mod unfinished_check;
 
 pub use doubt::{Doubt, DoubtStore};
 pub use error::{RigError, RigSettingError};
@@ -72,3 +73,4 @@ pub use settings::{
 };
 #[cfg(test)]
 pub(crate) use start_angle::START_STREAMS;
+pub use unfinished_check::UnfinishedCheck;

@@ -5,7 +5,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::connection::connect;
 use super::error::link_fault;
-use super::{ClockChoice, DeviceChoice, Doubt, DoubtStore, MotorMemory, RigError, RigSettings};
+use super::{
+    ClockChoice, DeviceChoice, Doubt, DoubtStore, MotorMemory, RigError, RigSettings,
+    UnfinishedCheck,
+};
 use crate::clock::{Clock, RealtimeRefusals};
 use crate::control::{
     ControlError, ControlThread, DriveReport, HelloRetries, HomingMethod, HomingSettings,
@@ -242,14 +245,18 @@ impl Rig {
     ///
     /// # Errors
     /// The device no longer answers, or a stop was requested. A failed check is not an error here.
-    pub fn check(&mut self, other_signs: OtherSigns) -> Result<Examination, RigError> {
+    pub fn check(&mut self, other_signs: OtherSigns) -> Result<Examination, UnfinishedCheck> {
         let mut examination = self.examine(other_signs)?;
         examination.results.push(if examination.passed() {
             match self.home() {
                 Ok(()) => homed(&self.measured.calibration),
                 Err(RigError::Homing { fault, .. }) => not_homed(fault),
                 Err(RigError::Travel { .. }) => not_homed(Fault::TravelWrong),
-                Err(error) => return Err(error),
+                Err(error) => {
+                    let mut results = examination.results;
+                    results.extend(error.fault().map(not_homed));
+                    return Err(UnfinishedCheck { results, error });
+                }
             }
         } else {
             homing_left_out()

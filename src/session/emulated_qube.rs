@@ -54,7 +54,7 @@ pub enum EmulatedQubeError {
         /// Largest accepted value.
         largest: f64,
     },
-    /// An effect that no simulation has.
+    /// An effect that only the emulator has, such as play.
     #[error("effects.{0}")]
     Effect(#[from] EffectError),
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{PsiError, PsiTarget};
-use crate::qube::Quantity;
+use crate::qube::{Quantity, key_of_message, line_of_key};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// A psi: the parameters of the distribution over simulations that a search varies. Every value is
@@ -62,8 +62,14 @@ impl Psi {
     pub fn load(path: &Path) -> Result<Self, PsiError> {
         let text = read_text(path, SETTINGS_BYTES)
             .map_err(|source| PsiError::Unreadable { path: path.to_owned(), source })?;
-        toml::from_str(&text)
-            .map_err(|source| PsiError::NotPsi { path: path.to_owned(), source: Box::new(source) })
+        let named: BTreeMap<String, f64> = toml::from_str(&text).map_err(|source| {
+            PsiError::NotPsi { path: path.to_owned(), source: Box::new(source) }
+        })?;
+        Self::try_from(named).map_err(|error| {
+            let message = error.to_string();
+            let line = line_of_key(&text, key_of_message(&message), |name, part| name == part);
+            PsiError::InFile { path: path.to_owned(), line, error: Box::new(error) }
+        })
     }
 }
 
@@ -119,8 +125,8 @@ mod tests {
         assert_eq!(short.filter_corner_rad_s(), Some(50.0));
 
         for (text, words) in [
-            ("mean_M_x = 1.0\n", "mean_M_x"),
-            ("mean_M_p = -1.0\n", "mean_M_p = -1"),
+            ("filter = 50\nmean_M_x = 1.0\n", "psi.toml, line 2: mean_M_x is no entry"),
+            ("mean_M_p = -1.0\n", "psi.toml, line 1: mean_M_p = -1"),
             ("std_M_p = nan\n", "std_M_p"),
             ("mean_delay = 6.0\n", "delay"),
             ("mean_M_p = 0.02\nmean_M_p = 0.03\n", "duplicate"),

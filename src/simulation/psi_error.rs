@@ -30,8 +30,8 @@ pub enum PsiError {
     },
     /// The name does not exist.
     #[error(
-        "psi has no `{name}`: give `filter`, `log_width`, `shift_1` to `shift_3`, or mean_ or std_ followed by one of \
-         lag, {}, as in std_delay",
+        "{name} is no entry of psi: give `filter`, `log_width`, `shift_1` to `shift_3`, or mean_ or std_ followed by one \
+         of lag, {}, as in std_delay",
         symbols()
     )]
     UnknownName {
@@ -91,6 +91,16 @@ pub enum PsiError {
         /// Cause of the failure.
         source: std::io::Error,
     },
+    /// An entry of the file is wrong.
+    #[error("{}{}: {error}", path.display(), at_line(*line))]
+    InFile {
+        /// Path of the file.
+        path: PathBuf,
+        /// Line of the entry, from 1; `None` if the error is not in one line.
+        line: Option<usize>,
+        /// Error of the entry.
+        error: Box<Self>,
+    },
     /// The file is not TOML, or contains something other than a psi.
     #[error("{}: is not a psi file, which has lines `name = value`: {}", path.display(), source.to_string().trim_end())]
     NotPsi {
@@ -99,6 +109,10 @@ pub enum PsiError {
         /// Cause, with the line in the file.
         source: Box<toml::de::Error>,
     },
+}
+
+fn at_line(line: Option<usize>) -> String {
+    line.map_or(String::new(), |line| format!(", line {line}"))
 }
 
 fn symbols() -> String {

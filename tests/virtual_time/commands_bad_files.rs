@@ -77,6 +77,23 @@ fn a_foreign_name_in_an_onnx_file_begins_no_line() {
 }
 
 #[test]
+fn an_imported_file_with_the_wrong_conventions_is_refused_with_what_to_do() {
+    let directory = tempfile::tempdir().unwrap();
+    let foreign = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx/tanh.onnx");
+    let foreign = foreign.to_str().unwrap();
+    refused(directory.path(), &["import", foreign, "--history", "2"], 2, &["--action-scale"]);
+    let policy = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
+    let export = ["export", policy.to_str().unwrap(), "--onnx", "--out", "."];
+    assert!(qube_hil(directory.path(), &export).status.success());
+    for convention in [&["--history", "2"][..], &["--action-scale", "5"]] {
+        let import = [&["import", "robust.onnx"], convention].concat();
+        let words = ["robust.onnx", "names its conventions itself", "leave out"];
+        refused(directory.path(), &import, 2, &words);
+        assert!(!directory.path().join("policy.safetensors").exists(), "{convention:?}");
+    }
+}
+
+#[test]
 fn invalid_configurations_are_refused_with_their_line() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("my.toml");

@@ -12,7 +12,7 @@ use qube_hil::replay::rerun;
 use qube_hil::rig::{Rig, RigSettings, RolloutPlan};
 use qube_hil::safety::{Guard, Limit};
 use qube_hil::storage::MachineDisk;
-use qube_hil::telemetry::{Ending, Phase};
+use qube_hil::telemetry::{Ending, Fault, Phase};
 use serde_json::Value;
 
 use crate::folders::files_of;
@@ -113,6 +113,27 @@ fn a_rollout_that_foresight_ended_says_for_which_qube() {
     known.margin_rad = 0.2;
     let policy = Policy::from_bytes(&recording.policy).unwrap();
     assert_ne!(rerun(&recording, policy).foreseen, Some(foreseen));
+}
+
+#[test]
+fn a_void_rollout_is_said_to_have_no_result() {
+    let folder = tempfile::tempdir().unwrap();
+    let fault = Some("unplug@9".parse().unwrap());
+    let emulator = EmulatorSettings { fault, seed: 11, ..EmulatorSettings::default() };
+    let rig = Rig::open(&RigSettings::emulated(emulator), &Default::default()).unwrap();
+    let controller = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+    let path = folder.path().join("rollout.mcap");
+    let header = RolloutPlan::single("test", "test").header();
+    let made = rig.rollout(&MachineDisk, &path, header, &controller.to_bytes()).unwrap();
+    assert_eq!(made.outcome.ending, Ending::Fault(Fault::LinkGone));
+
+    let path = path.to_str().unwrap();
+    let output = qube_hil(&["replay", "--json", path]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let reason = json(&output)["recordings"][0]["void"].as_str().unwrap().to_owned();
+    let text = String::from_utf8(qube_hil(&["replay", path]).stdout).unwrap();
+    let sentence = format!("the rollout is void, its return does not count: {reason}");
+    assert!(text.contains(&sentence), "{text}");
 }
 
 #[test]

@@ -14,7 +14,7 @@ use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::{Examination, ExaminationSettings, OtherSigns, examine};
 use qube_hil::recording::read;
 use qube_hil::rig::{
-    Doubt, DoubtStore, QubeFile, Recovery, Rig, RigError, RigSettings, RolloutPlan,
+    Doubt, DoubtStore, QubeFile, Recovery, Rig, RigError, RigSettings, RolloutPlan, UnfinishedCheck,
 };
 use qube_hil::safety::{MotorHeat, SafetyBox};
 use qube_hil::scoring::{Verdict, score};
@@ -202,7 +202,7 @@ fn homing_by_hand_passes_too_and_a_stop_ends_a_check() {
     assert!(found.results.last().unwrap().value.contains(&middle), "{:#?}", found.results);
     let stopped = Arc::new(AtomicBool::new(true));
     let error = Rig::connect(&settings, &stopped).unwrap().check(OtherSigns::Fail).unwrap_err();
-    assert!(matches!(error, RigError::Stopped { .. }), "{error}");
+    assert!(matches!(error.error, RigError::Stopped { .. }), "{error}");
     assert_eq!(error.to_string(), "the check was stopped");
 }
 
@@ -231,8 +231,19 @@ fn a_cable_that_is_pulled_is_named_in_each_phase() {
     assert_eq!(homing.fault(), Some(Fault::LinkGone));
     let checking =
         Rig::connect(&settings(Some("unplug@0.5")), &stop()).unwrap().check(OtherSigns::Fail);
-    let checking = checking.unwrap_err().to_string();
-    assert!(checking.contains("unplugged"), "{checking}");
+    let checking = checking.unwrap_err();
+    assert!(
+        checking.results.is_empty() && checking.to_string().contains("unplugged"),
+        "{checking}"
+    );
+    // The results of the steps before homing stay known.
+    let homing =
+        Rig::connect(&settings(Some("unplug@2")), &stop()).unwrap().check(OtherSigns::Fail);
+    let UnfinishedCheck { results, error } = homing.unwrap_err();
+    assert!(matches!(error, RigError::LinkLost { .. }), "{error}");
+    let (last, before) = results.split_last().unwrap();
+    assert!(last.failed() && !before.is_empty(), "{results:#?}");
+    assert!(before.iter().all(|result| !result.failed()), "{results:#?}");
 
     for (phase, time_s) in moments(directory.path()) {
         let path = directory.path().join(format!("{phase:?}.mcap"));

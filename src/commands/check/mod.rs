@@ -6,7 +6,7 @@ mod power_test;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::check_arguments::CheckArguments;
 use super::check_table::{Row, checks_json, failed_names, table};
@@ -26,7 +26,7 @@ use crate::device::emulator::EmulatorSettings;
 use crate::device::stable_port_name;
 use crate::estimation::EstimatorSettings;
 use crate::preflight::{Examination, OtherSigns};
-use crate::rig::{LibraryWatchdog, QUBE_FILE, QubeFile, Rig, RigSettings};
+use crate::rig::{LibraryWatchdog, QUBE_FILE, QubeFile, Rig, RigSettings, UnfinishedCheck};
 use crate::storage::Existing;
 use crate::telemetry::{CheckResult, CheckVerdict};
 
@@ -100,7 +100,19 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         Keyboard::watch(&stop, &Screen::none().progress(), CtrlZ::with([&device.choice]));
     let examined = rig.check(other_signs);
     drop(keyboard);
-    let examination = examined.map_err(failed)?;
+    let examination = match examined {
+        Ok(examination) => examination,
+        Err(UnfinishedCheck { results, error }) => {
+            let failure = failed(error);
+            if !results.is_empty() {
+                output.print_for_people(&summary(&results));
+                let mut value = checked(&results, None);
+                value["ended_by"] = failure.ended_by();
+                output.print_for_scripts(&value);
+            }
+            return Err(failure);
+        }
+    };
 
     let passed = examination.passed();
     let saved = match &files.written {
@@ -113,11 +125,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         text += &format!("written: {0}; use it with --qube {0}\n", path.display());
     }
     output.print_for_people(&text);
-    let mut value = json!({
-        "checks": checks_json(&examination.results),
-        "passed": passed,
-        "written": written.map(|path| path.to_string_lossy()),
-    });
+    let mut value = checked(&examination.results, written);
     let ended = if passed {
         saved.and_then(|written| {
             let asks = written.is_some() && !arguments.power_test;
@@ -227,6 +235,15 @@ fn rig_settings(device: &ChosenDevice, files: &Files) -> RigSettings {
     );
     let board = settings.board.clone().filter(|_| files.written.is_none());
     RigSettings { board, ..settings }
+}
+
+/// The results of the checks for scripts, and the file that was written.
+fn checked(results: &[CheckResult], written: Option<&PathBuf>) -> Value {
+    json!({
+        "checks": checks_json(results),
+        "passed": !results.iter().any(CheckResult::failed),
+        "written": written.map(|path| path.to_string_lossy()),
+    })
 }
 
 /// The table of the checks, with their counts.

@@ -7,11 +7,14 @@ use crate::experiment::{
     Repetition,
 };
 
+/// Width of the column of the methods' names, characters.
+const NAMES: usize = 13;
+
 /// The table for people: a line of at most 80 columns for each method, then the reasons why
 /// recommendations could not be scored.
 pub fn table(results: &MethodResults) -> String {
     let mut text = format!(
-        "\nreal rollouts until the recommendation succeeds, {} on {}\n\n{:10} {:>8} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
+        "\nreal rollouts until the recommendation succeeds, {} on {}\n\n{:NAMES$} {:>8} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
         results.recipe,
         results.plant,
         "method",
@@ -52,7 +55,7 @@ fn line(method: &MethodResult) -> String {
     };
     let reached = format!("{}/{over}", method.reached());
     format!(
-        "{:10} {reached:>8} {share:>11} {:>8} {:>8} {:>8} {:>8}",
+        "{:NAMES$} {reached:>8} {share:>11} {:>8} {:>8} {:>8} {:>8}",
         method.method.name(),
         within(0.25),
         within(0.5),
@@ -156,6 +159,11 @@ mod tests {
             assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
             assert!(!table.contains("NaN"), "{table}");
         }
+        let mut longest_name = results(1);
+        longest_name.methods[0].method = Method::IdentifyMean;
+        let columns = super::table(&longest_name);
+        let lengths: Vec<usize> = columns.lines().skip(3).take(2).map(str::len).collect();
+        assert_eq!(lengths[0], lengths[1], "{columns}");
         let table = table(&results(10));
         assert!(table.contains("5/10") && table.contains("> 125000"), "{table}");
         assert_eq!(table.matches("it is \"short\"").count(), 1, "{table}");

@@ -9,14 +9,15 @@
 //! an `enum`.
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
+use std::path::Path;
 use std::ptr;
 
 use libloading::os::unix::{Library as Loaded, RTLD_LOCAL, RTLD_NOW};
 
 use super::HilError;
 
-/// Environment variable with the library's path; if it is set and not empty, no other name is
-/// tried.
+/// Environment variable with the library's path, or with a name that the loader finds; if it is set
+/// and not empty, no other name is tried.
 const NAMED: &str = "QUBE_HIL_LIBHIL";
 
 /// Names that are tried in order: first the names that the loader finds (package `quanser-sdk`),
@@ -128,7 +129,7 @@ impl Library {
     /// Loads the first library that can be loaded, and looks up its functions; all but the two
     /// optional ones must be there.
     pub(super) fn load() -> Result<Self, HilError> {
-        let named = std::env::var(NAMED).ok().filter(|name| !name.is_empty());
+        let named = std::env::var(NAMED).ok().filter(|name| !name.is_empty()).map(for_loader);
         let names: Vec<&str> = named.as_deref().map_or(NAMES.to_vec(), |name| vec![name]);
         let mut refused = None;
         for &name in &names {
@@ -300,6 +301,12 @@ enum NotOpened {
     Absent,
     /// The loader's reason; a file that the library needs may be missing.
     Refused(String),
+}
+
+/// The name under which the loader finds a library that somebody has named: the loader looks for a
+/// name without a slash in the system's folders alone, and not in the working directory.
+fn for_loader(name: String) -> String {
+    if !name.contains('/') && Path::new(&name).is_file() { format!("./{name}") } else { name }
 }
 
 /// Loads the library of this name.
