@@ -22,7 +22,8 @@ class QubeVecEnv(Uncopied, VecEnv):  # type: ignore[misc, unused-ignore]
 
     The last observation of an episode is in ``infos[i]["terminal_observation"]``, and ``infos[i]["TimeLimit.truncated"]``
     is true where the time limit ended it. ``infos[i]["episode"]`` has the return ``r`` and the length ``l`` of the episode,
-    as `VecMonitor` names them.
+    as `VecMonitor` names them. All Qubes are one simulation: `get_attr` gives each its entry of an array, and
+    `env_method` calls a method once and gives each the result.
     """
 
     def __init__(self, num_envs: int = 80, **settings: Any) -> None:
@@ -71,7 +72,9 @@ class QubeVecEnv(Uncopied, VecEnv):  # type: ignore[misc, unused-ignore]
         self._envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [getattr(self._envs, attr_name) for _ in self._get_indices(indices)]
+        value = getattr(self._envs, attr_name)
+        has_entries = isinstance(value, np.ndarray) and len(value) == self.num_envs
+        return [value[index] if has_entries else value for index in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         raise AttributeError(f"{attr_name}: the simulated Qubes have no attribute that can be set")
@@ -79,8 +82,10 @@ class QubeVecEnv(Uncopied, VecEnv):  # type: ignore[misc, unused-ignore]
     def env_method(
         self, method_name: str, *arguments: Any, indices: Any = None, **named: Any
     ) -> list[Any]:
-        method = getattr(self._envs, method_name)
-        return [method(*arguments, **named) for _ in self._get_indices(indices)]
+        if method_name in ("reset", "step", "close"):
+            raise AttributeError(f"{method_name}: it concerns all Qubes, so call this environment's own {method_name}")
+        result = getattr(self._envs, method_name)(*arguments, **named)
+        return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         return [False for _ in self._get_indices(indices)]

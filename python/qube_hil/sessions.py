@@ -16,7 +16,7 @@ from .settings import as_path, shown
 
 Float64s = npt.NDArray[np.float64]
 
-#: What the argument ``folder`` names.
+#: Description of the argument ``folder`` in messages.
 _FOLDER = "the path of a session's folder"
 
 
@@ -87,7 +87,9 @@ class Surrogate:
         try:
             columns = np.broadcast_arrays(*(np.asarray(psi[name], np.float64) for name in self.ranges))
         except (TypeError, ValueError) as error:
-            raise SettingsError(f"the entries of psi do not go together: {error}") from error
+            raise SettingsError(
+                f"psi: give a number or an array [n] for each entry, all arrays of one length: {error}"
+            ) from error
         return np.stack([np.atleast_1d(column) for column in columns], axis=1)
 
 

@@ -228,7 +228,7 @@ def test_a_second_thread_is_refused_and_disturbs_nothing():
 
 
 class Busy:
-    """A simulation in a call of another thread."""
+    """A simulation that another thread is calling."""
 
     def reset(self, *_):
         raise qube_hil.BusyError("busy")
@@ -290,7 +290,7 @@ def test_arrays_are_written_over_where_the_caller_wants_no_copies():
         (None, "type"),
     ],
 )
-def test_an_action_that_is_none_is_refused_and_moves_nothing(action, told):
+def test_an_invalid_action_is_refused_and_moves_nothing(action, told):
     env = QubeEnv()
     env.reset(seed=0)
     before = env.state
@@ -382,7 +382,7 @@ REWARD = {"theta": 0.2, "alpha": 1.0, "theta_dot": 0.02, "alpha_dot": 0.005, "vo
         ({"render_mode": "human"}, "render_mode"),
     ],
 )
-def test_settings_that_cannot_be_are_named(settings, told):
+def test_impossible_settings_are_named(settings, told):
     with pytest.raises(qube_hil.SettingsError, match=told):
         QubeVectorEnv(**settings)
     with pytest.raises(ValueError):
@@ -413,7 +413,7 @@ def test_nothing_moves_before_a_reset():
         (Uniform, (2.0, 1.0), "smaller"),
     ],
 )
-def test_a_distribution_of_numbers_that_cannot_be_is_refused_where_it_is_made(kind, numbers, told):
+def test_impossible_numbers_of_a_distribution_are_refused_where_it_is_made(kind, numbers, told):
     with pytest.raises(qube_hil.SettingsError, match=told):
         kind(*numbers)
 
@@ -453,7 +453,8 @@ def test_qubes_around_a_profile_differ_by_its_errors_with_their_correlations():
     assert abs(found - expected) < 0.05
     mean = distribution[one]["mean"]
     assert np.mean([qube[one] for qube in drawn]) == pytest.approx(mean, rel=0.01)
-    # A wider spread comes on top, and a distribution of one's own replaces that of the profile.
+    # The spread widens the distribution beyond the profile's errors, and a distribution that the caller gives replaces
+    # the profile's.
     wide = QubeVectorEnv(2, profile="lab", distributions={"command_delay_s": 0.01})
     wide.reset(seed=1)
     assert np.std([wide.qube(number)[one] for number in range(1000)]) > np.std([qube[one] for qube in drawn])

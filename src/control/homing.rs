@@ -7,7 +7,7 @@ use super::homing_watch::{Held, LeavingStop, Motionless, Runaway};
 use super::rest::{StillnessDetector, Swing};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, LEAD_RAD_S};
-use super::stop_seek::{Found, StopSeek};
+use super::stop_seek::{HardStops, StopSeek};
 use super::voltage_watch::VoltageWatch;
 use super::watch::{Alarm, Watch};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
@@ -241,7 +241,7 @@ impl Homing {
             }
             Stage::Seek(seek) => {
                 let lead_rad_s = if scale_is_right { LEAD_RAD_S } else { FIRST_LEAD_RAD_S };
-                if let Some(Found { lowest_rad, highest_rad }) =
+                if let Some(HardStops { lowest_rad, highest_rad }) =
                     seek.update(self.state.theta, lead_rad_s)
                 {
                     self.stops_rad = Some((lowest_rad, highest_rad));

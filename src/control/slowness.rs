@@ -1,11 +1,13 @@
-//! A program that is too slow for its control period. Whole periods that have passed are skipped,
-//! so that each deadline by itself is met nearly in time; only the skipped periods show that the
-//! policy did not get its 100 decisions a second, and that the return is not that of the policy.
+//! Detects a program that is too slow for its control period. The loop skips whole periods that
+//! have passed, so that each deadline by itself is met nearly in time. Only the skipped periods show
+//! that the policy did not get its 100 decisions a second, and that the return is not that of the
+//! policy.
 
-/// Share of the control periods that may be skipped: single stalls of a busy computer.
+/// Share of the control periods that may be skipped, which allows for single stalls of a busy
+/// computer.
 const ALLOWED_SHARE: f64 = 0.05;
 
-/// Number of skipped periods beyond the allowed share that is too many.
+/// Number of skipped periods beyond the allowed share above which the program is too slow.
 const MOST_PERIODS: f64 = 10.0;
 
 /// Counts the control periods that the program has skipped beyond the allowed share.
@@ -36,7 +38,7 @@ mod tests {
 
     #[test]
     fn decisions_that_take_longer_than_a_period_are_found_within_a_second() {
-        // 15 ms and 12 ms a decision: each second and each fifth tick skips a period.
+        // 15 ms and 12 ms a decision: every other tick and every fifth tick skips a period.
         assert_eq!(alarm(2, 1), Some(23));
         assert_eq!(alarm(5, 1), Some(69));
     }

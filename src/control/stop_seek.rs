@@ -15,8 +15,8 @@ const SLOWEST_RAD_S: f64 = 0.35;
 const PUSH_V_RAD: f64 = 6.0;
 
 /// Largest additional push, V. Together with the lead it gives 2.75 V, which is also the largest
-/// push of the examination. 1.5 times the nonidealities of the profile `lab` with four times its
-/// friction take 2.5 V towards the stop from which the cable pulls away.
+/// push of the examination. An arm with 1.5 times the nonidealities of the profile `lab`, and four
+/// times its friction, needs 2.5 V to reach the stop from which the cable pulls it away.
 const MOST_PUSH_V: f64 = 1.12;
 
 /// Least gain of travel that counts as progress, rad.
@@ -37,7 +37,7 @@ pub struct StopSeek {
 
 /// Angles of the two stops, rad, in the coordinates of the angles that [`StopSeek::update`] takes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Found {
+pub struct HardStops {
     /// The stop at negative theta.
     pub lowest_rad: f64,
     /// The stop at positive theta.
@@ -60,7 +60,7 @@ struct Approach {
 impl StopSeek {
     /// Takes the next arm angle, rad, and moves the target by `lead_rad_s`, rad/s, for one period,
     /// up to the largest lead; returns the stops once both are found.
-    pub fn update(&mut self, theta: f64, lead_rad_s: f64) -> Option<Found> {
+    pub fn update(&mut self, theta: f64, lead_rad_s: f64) -> Option<HardStops> {
         let direction = if self.negative_rad.is_none() { -1.0 } else { 1.0 };
         let approach = self.approach.get_or_insert(Approach {
             target_rad: theta,
@@ -75,7 +75,7 @@ impl StopSeek {
             self.negative_rad = Some(stop_rad);
             return None;
         };
-        Some(Found { lowest_rad, highest_rad: stop_rad })
+        Some(HardStops { lowest_rad, highest_rad: stop_rad })
     }
 
     /// Target angle of the arm, rad; `None` before the first angle and in a tick that finds a stop.

@@ -252,7 +252,8 @@ impl<C: Controller> Tick<C> {
             Alarm::SwitchOff(fault) => {
                 self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))
             }
-            // The policy overheats a sound motor, which is a limit that it leaves and no fault.
+            // A sound motor overheats because of the policy: the policy has left a limit, and nothing
+            // is at fault.
             Alarm::Brake(Fault::MotorOverheated) if self.is_limited_by_motor() => {
                 let of_motor = Ending::LeftBox(Limit::MotorLoad);
                 self.phase == Phase::Running && self.take(ControlEvent::LimitLeft, of_motor)
@@ -418,14 +419,14 @@ impl<C: Controller> Tick<C> {
     }
 }
 
-/// The alarm to act on: the first that does not trust the brake, otherwise the first of all. An
+/// The alarm to act on: the first that switches the motor off at once, otherwise the first of all. An
 /// overheated motor or a late computer gives an alarm in each tick, also while the brake works, and
 /// must not hide a fault of the arm. Before [`TickRules::FaultsFirst`] it is the first of all.
 fn most_urgent(alarms: [Option<Alarm>; 4], rules: TickRules) -> Option<Alarm> {
     let mut given = alarms.into_iter().flatten();
-    let distrusts_brake =
+    let switches_off =
         |alarm: &Alarm| rules >= TickRules::FaultsFirst && matches!(alarm, Alarm::SwitchOff(_));
-    given.clone().find(distrusts_brake).or_else(|| given.next())
+    given.clone().find(switches_off).or_else(|| given.next())
 }
 
 /// The brake of a rollout whose arm has a count that can be trusted, before its first period.

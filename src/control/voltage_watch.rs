@@ -1,19 +1,21 @@
-//! A motor that does not have the voltage that the program sends: each sample says which voltage
-//! the motor had, and a device whose reports contradict what it was sent cannot be braked with.
+//! Detects a motor that does not have the voltage that the program sends. Each sample says which
+//! voltage the motor had. A device whose reports contradict the voltages that it was sent cannot be
+//! used to brake the arm.
 
 use super::TickInput;
 use super::watch::Alarm;
 use crate::qube::{Measurement, applied_voltage_mv};
 use crate::telemetry::Fault;
 
-/// Periods whose voltages the motor may still have: the device keeps its last voltage until an act
-/// arrives, and its watchdog switches the motor off 55 ms after the last one.
+/// Number of periods whose voltages the motor may still have: the device keeps its last voltage
+/// until an act arrives, and its watchdog switches the motor off at most 55 ms after the last act.
 const PERIODS: usize = 7;
 
 /// Largest difference that rounding explains, mV: two steps of a Qube's motor driver.
 pub const VOLTAGE_TOLERANCE_MV: i32 = 48;
 
-/// Consecutive samples that must contradict every voltage sent.
+/// Number of consecutive samples that raise the alarm if each contradicts the voltages of all
+/// [`PERIODS`].
 const STREAK: u32 = 3;
 
 /// Compares the voltage that each sample reports with the voltages that were sent, all as the

@@ -13,7 +13,7 @@ use super::server::{LiveError, accept, lower_priority};
 use super::status::LiveStatus;
 use crate::recording::Viewer;
 
-/// Time that connections have to end once the view's own threads have ended.
+/// Time allowed for connections to end after the view's own threads have ended.
 const CLOSING_TIME: Duration = Duration::from_millis(500);
 
 /// The settings of a live view.

@@ -16,7 +16,8 @@ const CENTRING_V_PER_RAD: f64 = 0.5;
 /// Time over which the arm's position is extrapolated to decide whether steps drive it back, s.
 const LOOK_AHEAD_S: f64 = 0.2;
 
-/// Angle beyond which steps and pushes drive the arm back, rad; that of steps is extrapolated.
+/// Angle beyond which steps and pushes drive the arm back, rad. Steps compare the angle that they
+/// extrapolate by [`LOOK_AHEAD_S`], pushes the present angle.
 const WAY_OUT_RAD: f64 = 0.6;
 
 /// Angle from hanging at which pushes stop raising the pendulum and begin to calm it, rad.

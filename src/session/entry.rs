@@ -93,7 +93,7 @@ pub enum Entry {
         /// Reason, as a text for the operator.
         reason: String,
     },
-    /// A fault ended a rollout; the recording is kept.
+    /// A rollout is void: a fault ended it, or its recording lacks ticks. The recording is kept.
     RolloutVoid {
         /// Number of the candidate.
         candidate: u32,

@@ -18,7 +18,8 @@ pub struct SessionReport {
     pub candidates: Vec<ScoredCandidate>,
     /// Timing of all ticks of the finished rollouts.
     pub latencies: Latencies,
-    /// Number of rollouts that a fault has ended, repeated or not.
+    /// Number of attempts at rollouts that are void: a fault ended them, or their recordings lack
+    /// ticks.
     pub void_rollouts: u64,
     /// Number of observer resets in the finished rollouts.
     pub observer_resets: u64,

@@ -60,7 +60,7 @@ pub struct SessionSettings {
     pub identification: Option<IdentificationSettings>,
     /// Estimator of the state on the Qube.
     pub estimator: EstimatorSettings,
-    /// Box that ends a rollout.
+    /// Safety box; a rollout ends when the state leaves it.
     #[serde(with = "box_file")]
     pub safety_box: SafetyBox,
     /// Homing of the arm.

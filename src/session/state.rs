@@ -16,7 +16,7 @@ pub struct Candidate {
     pub trained: bool,
     /// Finished rollouts in order.
     pub finished: Vec<Finished>,
-    /// Number of attempts of the current rollout that a fault ended.
+    /// Number of attempts at the current rollout that are void.
     pub void: u32,
     /// Number of these attempts that were made before the last rig was taken out. They do not count
     /// towards the allowed repetitions.
@@ -30,7 +30,7 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Number of attempts that a fault ended, at all its rollouts.
+    /// Number of void attempts at all its rollouts.
     #[must_use]
     pub fn all_void(&self) -> u64 {
         let repeated = self.finished.iter().map(|it| u64::from(it.attempt));
@@ -208,7 +208,7 @@ pub enum EntryError {
     RecordingsNotDue,
 }
 
-/// An attempt at a rollout that a fault ended.
+/// An attempt at a rollout that is void: a fault ended it, or its recording lacks ticks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VoidAttempt {
     /// Numbers of its candidate, of the rollout and of the attempt.

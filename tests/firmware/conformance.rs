@@ -10,7 +10,8 @@ use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// Attempts, because the computer may not run the simulator in real time.
+/// Largest number of attempts at a check. A failed check is repeated, because the computer may not
+/// run the simulator in real time.
 const ATTEMPTS: u32 = 10;
 
 fn conforms(chip: Chip) {

@@ -239,7 +239,7 @@ fn an_arm_that_creeps_away_in_a_pause_is_homed_once_and_not_waited_for() {
     let mut homed_again = 0;
     let mut watched_s = Vec::new();
     for number in 0..8 {
-        // As long as a training takes.
+        // The pause lasts as long as a training.
         if number == 1 {
             bench.clock.advance(60_000 * MS);
         }
@@ -308,7 +308,7 @@ fn a_healthy_qube_is_not_homed_again_for_nothing() {
 }
 
 #[test]
-fn a_device_whose_clock_is_really_broken_ends_after_three_tries_with_its_name() {
+fn a_broken_device_clock_is_named_after_three_attempts() {
     let bench = Bench { repeats: true, ..Bench::default() };
     let homing = HomingSettings { method: HomingMethod::Hand, ..HomingSettings::default() };
     let error = bench.open(EmulatorSettings::default(), homing).err().unwrap();
@@ -328,7 +328,7 @@ fn outward() -> Policy {
     }))
 }
 
-/// The farthest way of the arm from the angle at which its policy began, rad.
+/// Largest distance of the arm from the angle at which the policy began, rad.
 fn pushed_rad(recording: &Recording) -> f64 {
     let from_start = recording.ticks.iter().skip_while(|tick| tick.phase != Phase::Running);
     let mut thetas_rad = from_start.map(|tick| tick.state.theta);
@@ -370,7 +370,7 @@ fn after_homing_by_hand_offset_and_accepted_travel_bound_the_box() {
 }
 
 #[test]
-fn stops_that_are_not_a_qubes_ask_the_operator_and_accepted_ones_are_the_rigs() {
+fn unusual_stops_need_the_operators_acceptance_and_then_bound_the_box() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     for stops_rad in [[-2.16, 2.16], [-2.39, 1.93]] {

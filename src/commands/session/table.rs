@@ -303,8 +303,9 @@ fn verified(scored: &ScoredCandidate) -> String {
     let (successes, rollouts) = (scored.successes(), scored.verdicts.len());
     let Interval { lower, upper } = wilson_interval(successes, rollouts);
     let (least, most) = (100.0 * lower, 100.0 * upper);
-    let mut text =
-        format!("{successes} of {rollouts} balance, so {least:.0} to {most:.0} % of all do (95 %)");
+    let mut text = format!(
+        "{successes} of {rollouts} balance, so the rate of success is {least:.0} to {most:.0} % (95 % interval)"
+    );
     let mut endings: BTreeMap<String, usize> = BTreeMap::new();
     for verdict in scored.verdicts.iter().filter(|verdict| !verdict.is_success()) {
         let Verdict::Result { outcome, .. } = verdict else { continue };

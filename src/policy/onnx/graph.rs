@@ -69,7 +69,7 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
         "Cast" if node.is_cast_to_float() => Ok((None, x)),
         "Cast" => Err(operator.refused("to another type than float and double")),
         "Flatten" if matches!(node.integer("axis", 1), -1..=1) => Ok((None, x)),
-        "Flatten" => Err(operator.refused("at another axis than the first one")),
+        "Flatten" => Err(operator.refused("with an axis other than -1, 0 and 1")),
         "Reshape" | "Expand" => Ok((operator.shaped(x)?, x)),
         "Gemm" => Ok((Some(operator.gemm()?), x)),
         "MatMul" => {
@@ -114,7 +114,8 @@ impl<'g, 'a> Operator<'g, 'a> {
         let name = self.input(1)?;
         let tensor = self.graph.constant(name);
         let tensor = tensor.ok_or_else(|| self.refused("whose weights are not constant"))?;
-        matrix(&tensor.shape, numbers(name, tensor)?, layout).ok_or(ImportError::NotOnnx)
+        matrix(&tensor.shape, numbers(name, tensor)?, layout)
+            .ok_or_else(|| self.refused("whose weights are not a matrix of two dimensions"))
     }
 
     fn gemm(&self) -> Result<Step, ImportError> {
@@ -347,7 +348,11 @@ impl Assembly {
             Step::Shaped { operator, last } => self.check_shape(&operator, last),
             Step::Added(values) => self.add_to_bias(&values),
             Step::Multiplied(values) => {
-                self.after.multiply(spread(&values, 1)?[0]);
+                let factor = spread(&values, 1)?[0];
+                if factor == 0.0 {
+                    return Err(refused("Mul", "by 0 at the end, which leaves no voltage"));
+                }
+                self.after.multiply(factor);
                 Ok(())
             }
             Step::Clipped { lower, upper } => {

@@ -42,8 +42,8 @@ pub enum ImportError {
     /// The graph has too many operators.
     #[error("has more than {MAX_OPERATORS} operators, more than any policy")]
     TooManyOperators,
-    /// The bytes are no ONNX model, or its graph is broken: an operator lacks an input, weights are
-    /// no matrix, or no way leads back from the output to the input.
+    /// The bytes are no ONNX model, or its graph is broken: an operator lacks an input, or no way
+    /// leads back from the output to the input.
     #[error("is not an ONNX model, or is damaged: export it again")]
     NotOnnx,
     /// The weights are in a second file.

@@ -145,6 +145,26 @@ fn a_bias_of_another_type_than_float_is_refused() {
 }
 
 #[test]
+fn weights_that_are_no_matrix_and_an_output_times_0_are_refused_by_their_operator() {
+    let with = |shape: &[u64], factor: f32| {
+        let nodes = [
+            node("MatMul", &["x", "w0"], "h"),
+            node("Tanh", &["h"], "a"),
+            node("MatMul", &["a", "w1"], "z"),
+            node("Mul", &["z", "factor"], "y"),
+        ];
+        let factor = tensor("factor", TYPES[0], &[1], &factor.to_le_bytes());
+        read(model(&nodes, &[numbers_of("w0", shape), numbers_of("w1", &[2, 1]), factor], Some(6)))
+    };
+    assert!(with(&[6, 2], 0.5).is_ok());
+    let place =
+        |operator: &str, place| Err(ImportError::Place { operator: operator.to_owned(), place });
+    let no_matrix = "whose weights are not a matrix of two dimensions";
+    assert_eq!(with(&[1, 6, 2], 0.5), place("MatMul", no_matrix));
+    assert_eq!(with(&[6, 2], 0.0), place("Mul", "by 0 at the end, which leaves no voltage"));
+}
+
+#[test]
 fn a_shape_that_contradicts_the_layers_is_refused() {
     let read = |shaped: Message, more: Option<Message>, target: &[i64], entries: Option<u64>| {
         let nodes: Vec<Message> = more

@@ -71,7 +71,7 @@ pub struct Session {
 struct GivenUpBefore {
     candidate: u32,
     rollout: u32,
-    /// Number of its attempts that a fault had ended by then.
+    /// Number of its attempts that were void by then.
     void: u32,
 }
 
