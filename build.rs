@@ -13,8 +13,8 @@ fn main() {
     }
 }
 
-/// Whether this folder is a repository of its own. Git also finds one that contains this folder,
-/// such as that of a user who unpacked an archive inside another project.
+/// Whether this folder is a repository of its own. Git also finds a repository that contains this
+/// folder, such as the project of a user who unpacked an archive inside it.
 fn is_repository() -> bool {
     let here = std::env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
     let top = git(&["rev-parse", "--show-toplevel"]);

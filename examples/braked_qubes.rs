@@ -139,7 +139,7 @@ fn main() {
             }
         }
         rest_periods.sort_unstable();
-        // The time within which the Qubes that came to rest did so, but for one in `one_in`, s.
+        // The time within which all Qubes that came to rest did so, except one in `one_in`, s.
         let all_but = |one_in: usize| {
             let (count, last) = (rest_periods.len(), rest_periods.len() / one_in + 1);
             let periods = count.checked_sub(last).map(|index| rest_periods[index]);

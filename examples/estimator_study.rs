@@ -128,6 +128,7 @@ fn swing_up_of(model: &QubeModel, policy: &Policy, start: State) -> SwingUp {
             at_us = next_us;
         }
         let voltage_v = policy.voltage_v(&ahead).clamp(-5.0, 5.0);
+        policy.applied(voltage_v);
         let measurement = Measurement {
             device_time_us: now_us,
             theta_counts: counts(state.theta),

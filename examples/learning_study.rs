@@ -11,10 +11,10 @@
 //! SEEDS is a number, or a range such as `5..10`. MODEL is `nominal`, `handcrafted`, `robust`, or
 //! `specialists`: for each seed one Qube is drawn from `handcrafted`, and a policy is trained for
 //! that Qube alone. If no such specialist reaches a return, a policy for all of the Qubes cannot be
-//! expected to. PRESET is `thesis`, `quick` or `robust`; settings are those of `TrainSettings`.
-//! With `--against` each seed is trained a second time, with the settings after `--against` in
-//! addition. The two trainings of a seed are a pair, and the program sums up the differences of the
-//! pairs.
+//! expected to reach it. PRESET is `thesis`, `quick` or `robust`; settings are those of
+//! `TrainSettings`. With `--against` each seed is trained a second time, with the settings after
+//! `--against` in addition. The two trainings of a seed are a pair, and the program sums up the
+//! differences of the pairs.
 //!
 //! The columns: `fresh` and `fresh final` are the mean returns of the best and of the final policy
 //! from 1000 new starts; `best` and `final` are the returns of the same policies in training;

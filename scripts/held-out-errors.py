@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Measures what `identify --holdout` does to the standard errors of a profile.
 
-Emulated Qubes are fitted to a chirp and to steps, once alone and once with a rollout of the shipped `robust` held out.
-Printed are the range of the factor by which the held-out rollout widens the standard errors (`inflation`), and how
-many values lie within their 90 % intervals. On the Qube with presliding friction only the values that this friction
-leaves as they are count.
+Fits emulated Qubes to a chirp and to steps, once alone and once with a rollout of policies/robust.safetensors held out.
+Prints the range of the factor by which the held-out rollout widens the standard errors (`inflation`), and how many
+values lie within their 90 % intervals. On the Qube with presliding friction only the values that this friction leaves
+as they are count.
 
     cargo build --release && scripts/held-out-errors.py        some three minutes
 """

@@ -10,8 +10,8 @@ usage: scripts/identified-recipe.py [--plants lab,gap,delay,drawn] [--policies N
   drawn   each number of lab within 10 per cent except gravity, with other numbers for each policy
 
 Each plant is excited with one chirp and identified. Training and guard know the plant by the identified profile
-alone. Work that is finished in FOLDER is not repeated. Defaults: all plants, N = 20, S = 2000, T = all processors, and FOLDER
-identified-recipe.
+alone. Work that is finished in FOLDER is not repeated. Defaults: all plants, N = 20, S = 2000, T = all processors, and
+FOLDER identified-recipe.
 """
 import argparse
 import os

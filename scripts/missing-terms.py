@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Which terms do the recordings of a real Qube ask for that the equations lack?
+"""Finds terms that the equations lack and the recordings of a real Qube ask for.
 
 Fits the equations of `qube-hil identify`, each time with one or more further terms, to all recordings but one by
 multiple shooting, and prints how well the recording that was left out is explained: the root mean square of its
@@ -25,7 +25,7 @@ FRICTION_VELOCITY = 0.05
 PRIOR_REST_RAD, REST_SPREAD_RAD, ZERO_SPREAD_RAD = -0.8, 0.5, 0.003
 
 # The equations in volts: every torque and inertia is divided by the motor's torque per volt, k_m / R_m. Names that
-# begin with log_ are logarithms. The starts are those of the name plate, with some friction.
+# begin with log_ are logarithms. A fit begins at the values of the name plate, with some friction.
 NAME_PLATE_TORQUE = 0.042 / 8.4
 BASE = {
     "log_arm": np.log((0.024 * 0.085**2 + 0.095 * 0.085**2 / 12) / NAME_PLATE_TORQUE),
@@ -85,7 +85,7 @@ class Recording:
         self.period = self.time[1] - self.time[0]
 
     def windows(self):
-        """Index of the first sample, index after the last one, and kind (0 hanging, 1 swing, 2 upright)."""
+        """The windows: index of the first sample, index after the last one, and kind (0 hanging, 1 swing, 2 upright)."""
         first, windows = int(np.searchsorted(self.time, self.time[0] + 0.04 - 1e-9)), []
         upright = lambda first, end: bool((np.cos(self.alpha[first:end]) < UPRIGHT_COS).any())
         end_after = lambda seconds: min(len(self.time), first + round(seconds / self.period) + 1)
@@ -114,8 +114,8 @@ class Recording:
         return times, np.array(integral)
 
     def built_up(self, angle):
-        """At each sample the share of its largest torque that an element has which resists the arm elastically
-        until it slides (Dahl's friction)."""
+        """The torque at each sample of an element that resists the arm elastically until it slides (Dahl's friction), as a
+        share of its largest torque; `angle` is the angle, rad, over which it builds up."""
         share, shares = 0.0, [0.0]
         for moved in np.diff(self.theta):
             share = np.sign(moved) + (share - np.sign(moved)) * np.exp(-abs(moved) / angle)

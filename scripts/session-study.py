@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Runs sessions on several emulated Qubes in virtual time and prints a row for each plant. Needs Python 3.11 and a release build.
+"""Runs sessions on several emulated Qubes in virtual time and prints a row for each plant. Needs Python 3.11 and a
+release build.
 
 usage: scripts/session-study.py [--plants NAME,...] [--seeds N] [--first S] [--method M]
                                 [--parallel P] [--out FOLDER]

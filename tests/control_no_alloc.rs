@@ -261,7 +261,7 @@ fn guarded(settings: TickSettings) -> TickSettings {
     TickSettings { safety_box: SafetyBox::GUARDED, foresight, ..settings }
 }
 
-/// Time at which a policy has had an emulated Qube without a fault for 0.6 s, s by the device's
+/// Time 0.6 s after the start of a policy on an emulated Qube without a fault, s by the device's
 /// clock.
 fn in_the_rollout_s() -> f64 {
     struct Noting(ClassicalController, VirtualClock, Option<u64>);

@@ -84,7 +84,7 @@ fn is_read_with_little_memory(_turn: &MutexGuard<'_, ()>, more: &[u8]) {
 }
 
 #[test]
-fn names_of_channels_that_unpack_to_gigabytes() {
+fn channel_names_that_unpack_to_gigabytes_need_little_memory() {
     let turn = turn();
     // 250 channels of 4 MB each, packed to some 16 kB each.
     let name = text(&vec![b'x'; 4_000_000]);
@@ -96,13 +96,13 @@ fn names_of_channels_that_unpack_to_gigabytes() {
 }
 
 #[test]
-fn hundreds_of_thousands_of_records_that_are_none() {
+fn many_unknown_records_need_little_memory() {
     let turn = turn();
     is_read_with_little_memory(&turn, &record(0x55, &[]).repeat(700_000));
 }
 
 #[test]
-fn metadata_of_other_names_and_of_any_size() {
+fn large_and_unknown_metadata_need_little_memory() {
     let turn = turn();
     let entries: Vec<u8> = (0..100_000_u32)
         .flat_map(|number| [text(&number.to_le_bytes()), text(&[])].concat())

@@ -15,7 +15,7 @@ const CONTACT_N_M_S_RAD: f64 = 2e-3;
 /// Velocity at which friction has reached three quarters of its torque, rad/s.
 pub const SLIDING_RAD_S: f64 = 0.05;
 
-/// A Qube's mechanics, which voltages move in steps of time.
+/// The mechanics of a Qube, integrated step by step under a voltage.
 pub struct Mechanics {
     pub dynamics: NonidealDynamics,
     /// State of arm and pendulum.

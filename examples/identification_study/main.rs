@@ -11,8 +11,8 @@
 //! word `other-forms` it is one of four for which the verdict does not look. A MOTION is
 //! the form and the largest voltage of an excitation, or `policy:FILE` for a rollout; the default
 //! is `chirp:1.5 chirp:1.5`. The program prints a line for each plant, then tables of the counts:
-//! plants that the verdict doubts, those that recordings held out from the fit give a doubt, and
-//! refusals that blame a reversed sign.
+//! plants that the verdict doubts, plants whose held-out recordings add a doubt, and refusals that
+//! blame a reversed sign.
 //! The limits of the verdict were chosen on seeds from 100 on.
 
 #[path = "../beyond_the_equations/mechanics.rs"]
@@ -91,7 +91,7 @@ fn outside(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
 }
 
 /// The effect of another form that this seed gets, with half to all of a size that moves a Qube
-/// about as much as those of [`outside`].
+/// about as much as the effects of [`outside`].
 fn of_another_form(seed: u64, rng: &mut ChaCha8Rng) -> Beyond {
     let size = 0.5 + 0.5 * rng.random::<f64>();
     let none = Effects::NONE;
@@ -146,9 +146,9 @@ struct Row {
     predicted: [u32; 2],
     plants: u32,
     doubted: u32,
-    /// Number of fits that the recordings held out give a doubt.
+    /// Number of fits to which the held-out recordings add a doubt.
     doubted_by_held_out: u32,
-    /// Number of refusals that blame a reversed sign; each is wrong, because no sign is.
+    /// Number of refusals that blame a reversed sign; each is wrong, because no sign is reversed.
     blaming_a_sign: u32,
     /// Number of times that each effect was named.
     named: BTreeMap<&'static str, u32>,
@@ -210,8 +210,8 @@ impl Row {
     }
 }
 
-/// The share of predictions within their band, in percent; a dash without predictions, as for
-/// rollouts in which the pendulum comes upright.
+/// The share of predictions within their band, in percent; a dash if no prediction was counted,
+/// because no fit has a band ([`PredictionBand::of`]).
 fn percent([all, within]: [u32; 2]) -> String {
     if all == 0 {
         return "-".to_string();

@@ -143,7 +143,7 @@ impl SimulatedPlant {
         let early_s = 0.5 * step_s();
         let arm_rad = state.theta - early_s * state.theta_dot;
         let theta = match self.beyond {
-            // The contact takes the motor along, so that it has the arm's velocity most of the time.
+            // The contact takes the motor along, so that it mostly has the arm's velocity.
             Beyond::Play(_) => self.mechanics.motor_rad() - early_s * state.theta_dot,
             Beyond::Eccentric(amplitude_rad) => arm_rad + amplitude_rad * (arm_rad + 0.7).sin(),
             _ => arm_rad,

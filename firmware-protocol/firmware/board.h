@@ -39,7 +39,7 @@ void board_remember_stop_switch(void);
 /* Takes a byte that has arrived; returns false if there is none. `after_loss` becomes true if bytes
  * were lost between the last byte and this one, or if this byte arrived garbled. */
 bool board_receive(uint8_t *byte, bool *after_loss);
-/* How many bytes can be sent without waiting. */
+/* Returns the number of bytes that can be sent without waiting. */
 uint8_t board_send_room(void);
 void board_send(const uint8_t *bytes, uint8_t length);
 

@@ -103,13 +103,14 @@ impl StatusBits {
     pub const ARMED: u8 = 1 << 0;
     /// Bit 1: the watchdog tripped since the last `Arm` request.
     pub const WATCHDOG_TRIPPED: u8 = 1 << 1;
-    /// Bit 2: the Qube reports a fault of its amplifier.
+    /// Bit 2: the Qube reports a fault of its amplifier, or such a fault has led to
+    /// [`DeviceState::Faulted`] since the last hello.
     pub const AMPLIFIER_FAULT: u8 = 1 << 2;
     /// Bit 3: the Qube detects a stall.
     pub const STALL_DETECTED: u8 = 1 << 3;
     /// Bit 4: the stall lasted and the Qube switched its motor off.
     pub const STALL_ERROR: u8 = 1 << 4;
-    /// Bit 5: the emergency-stop switch is open, or was since the last hello.
+    /// Bit 5: the emergency-stop switch is open, or was since the last hello that found it closed.
     pub const EMERGENCY_STOP: u8 = 1 << 5;
     /// Bit 6: the board knows of an emergency-stop switch.
     pub const STOP_SWITCH_FITTED: u8 = 1 << 6;
@@ -158,7 +159,8 @@ wire_enum! {
 wire_enum! {
     /// The state of a device; `PROTOCOL.md` has the table of transitions.
     DeviceState {
-        /// Started, or greeted by a host of another protocol version. The motor is off.
+        /// Started, greeted by a host of another protocol version, or its Qube was switched off and
+        /// on. The motor is off.
         Idle = 0,
         /// Greeted. The motor is off.
         Greeted = 1,
@@ -175,7 +177,8 @@ wire_enum! {
 wire_enum! {
     /// The reason why a request was not carried out.
     RefusalReason {
-        /// No hello came since the device's start, or the last one was of another protocol version.
+        /// No hello came since the start of the device or its Qube, or the last one was of another
+        /// protocol version.
         NotGreeted = 1,
         /// The device is not armed.
         NotArmed = 2,
@@ -199,7 +202,7 @@ wire_enum! {
         UnknownType = 11,
         /// The act does not answer the last sample that was given, or that sample is too old.
         StaleSample = 12,
-        /// The emergency-stop switch is open, or was since the last hello.
+        /// The emergency-stop switch is open, or was since the last hello that found it closed.
         EmergencyStop = 13,
     }
 }

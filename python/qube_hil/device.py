@@ -127,7 +127,7 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
                 number += 1
             path = self._folder / name
             observation = self._device.reset(str(path), *episode)
-            # A call that is refused has no effect.
+            # Only after the reset above, because a call that is refused has no effect.
             super().reset(seed=given)
             (self._seed, self._number), self._recording = episode, path
             return observation, {"late_answers": 0}
@@ -205,7 +205,7 @@ def _as_word(name: str, value: object) -> str:
 
 
 def _in_words_of_python(message: str) -> str:
-    """A message of the command ``run`` with the names of arguments, except in a command that it cites."""
+    """A message of the command ``run`` with Python's arguments in place of options, except in a command that it cites."""
     parts = message.split("`")
     for index, part in enumerate(parts):
         if not part.startswith("qube-hil"):

@@ -26,7 +26,8 @@ def _finite(name: str, number: object) -> float:
 
 @dataclass(frozen=True)
 class Constant:
-    """Always the same value, in the quantity's SI unit. A value that is not a finite number raises a `SettingsError`."""
+    """A distribution whose draws are all the same value, in the quantity's SI unit. A value that is not a finite number
+    raises a `SettingsError`."""
 
     value: float
 
@@ -40,8 +41,8 @@ class Constant:
 @dataclass(frozen=True)
 class Normal:
     """A normal distribution in the quantity's SI unit. Draws lie between 0.1 and 1.9 times the mean for a parameter such as
-    ``M_p``, and as far from the mean on both sides as its range allows for a nonideality such as ``command_delay_s``. Numbers that are
-    not finite, and a negative standard deviation, raise a `SettingsError`."""
+    ``M_p``, and as far from the mean on both sides as its range allows for a nonideality such as ``command_delay_s``.
+    Numbers that are not finite, and a negative standard deviation, raise a `SettingsError`."""
 
     mean: float
     standard_deviation: float

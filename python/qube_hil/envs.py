@@ -18,7 +18,7 @@ from .distributions import Distribution
 from .errors import ActionError, ClosedError, CopyError, EpisodeOverError, QubeHilError, SettingsError
 from .identification import Identified
 from .profiles import around
-from .settings import shown
+from .settings import is_whole, shown
 
 Float32s = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
@@ -74,14 +74,14 @@ def as_seed(seed: object) -> int | None:
     """A seed from 0 to 2^64 - 1, or None."""
     if seed is None:
         return None
-    if isinstance(seed, (int, np.integer)) and 0 <= seed < 2**64:
+    if is_whole(seed) and 0 <= seed < 2**64:
         return int(seed)
     raise SettingsError(f"seed = {shown(seed)}: give one whole number from 0 to 2^64 - 1")
 
 
 def _whole(name: str, value: object, smallest: int, largest: int) -> int:
     """An argument that is a whole number from ``smallest`` to ``largest``."""
-    if isinstance(value, (int, np.integer)) and smallest <= value <= largest:
+    if is_whole(value) and smallest <= value <= largest:
         return int(value)
     raise SettingsError(f"{name} = {shown(value)}: give a whole number from {smallest} to {largest}")
 
@@ -155,8 +155,8 @@ class QubeEnv(Uncopied, gymnasium.Env[Any, Any]):
             the errors that the profile names; None stands for 0.1.
         settings: Sensors, history, reward and box: ``thesis``, ``machine``, ``robust``, or a mapping.
         seed: Seed of the episodes until ``reset`` names another.
-        guard: ``box``, or ``foresight`` as on a machine: before each voltage the brake is simulated for many Qubes that this
-            one may be, and it takes over where it would otherwise be too late. A step then takes many times as long.
+        guard: ``box``, or ``foresight`` as on a real Qube: before each voltage the brake is simulated for many Qubes that
+            this one may be, and it takes over where it would otherwise be too late. A step then takes many times as long.
 
     An observation is ``float32 [6 + history]``, an action ``float32 [1]``, a fraction of 5 V. The reward of a step is
     in (0, 1]. An episode is terminated where the state leaves the box or the guard takes over, and truncated after 600
@@ -204,7 +204,7 @@ class QubeEnv(Uncopied, gymnasium.Env[Any, Any]):
             raise _closed()
         named = as_seed(seed)
         self._simulation.reset(self._first_seed if named is None else named, self._observations)
-        # A call that is refused has no effect.
+        # Only after the reset above, because a call that is refused has no effect.
         super().reset(seed=named)
         self._first_seed = None
         self._was_reset = self._is_running = True

@@ -16,7 +16,7 @@ from .device import QubeDeviceEnv
 from .distributions import Distribution
 from .envs import Float32s, QubeEnv, QubeVectorEnv
 from .errors import ActionError, PolicyError, SettingsError
-from .settings import as_number, as_path, as_text, shown
+from .settings import as_number, as_path, as_text, is_whole, shown
 
 
 class Policy:
@@ -24,7 +24,7 @@ class Policy:
     Its files are those of the program. Policies are equal if the bytes of their files are."""
 
     def __init__(self, core: _core.Policy) -> None:
-        """Use `Policy.load`, `Policy.from_bytes` or `qube_hil.train`."""
+        """Wraps a policy of the compiled part. Callers use `Policy.load`, `Policy.from_bytes` or `qube_hil.train`."""
         self._core = core
 
     @classmethod
@@ -289,8 +289,8 @@ class Policy:
     def randomisation(self) -> dict[str, Distribution] | None:
         """Distribution of each quantity of the simulated Qubes in training, by name, as environments and `train` take
         them for ``distributions``; None without a network, or if the file does not name them. A uniform distribution has
-        the ends between which the training drew. Joint deviations and the
-        Qubes of a distribution of given Qubes, if there are any, are in ``training["randomisation"]``."""
+        the ends between which the training drew. Joint deviations and the Qubes of a distribution of given Qubes, if
+        there are any, are in ``training["randomisation"]``."""
         known = self._core.randomisation
         if known is None:
             return None
@@ -362,9 +362,9 @@ def _as_layers(layers: Any) -> list[tuple[Float32s, Float32s]]:
 
 
 def _check_chain(layers: list[tuple[Float32s, Float32s]], entries: int, is_own: bool) -> None:
-    """Checks that each layer has as many inputs as the layer before has outputs, and that each bias fits its weight. Of
-    the first layer it finds weights that are transposed, and another number of commands in an observation that is this
-    program's own; the compiled part compares it with other observations."""
+    """Checks that each layer has as many inputs as the layer before has outputs, and that each bias fits its weight. In
+    the first layer it finds transposed weights and, for this program's own observation, another number of last commands;
+    the compiled part compares the first layer with other observations."""
     source = f"the observation has {entries} entries"
     first = layers[0][0].shape[1]
     if is_own and first != entries and 6 <= first <= 10 and layers[0][0].shape[0] != entries:
@@ -393,7 +393,7 @@ def _as_history(history: int | None) -> int | None:
     """A number of last commands in an observation."""
     if history is None:
         return None
-    if not isinstance(history, (int, np.integer)):
+    if not is_whole(history):
         raise SettingsError(f"history = {shown(history)}: give 0 to 4")
     if not 0 <= history <= 4:
         raise PolicyError(f"history = {shown(history)}: give 0 to 4")
@@ -405,7 +405,7 @@ _A_VOLTAGE = "a voltage from -100 to 100 that is not 0"
 
 
 def _as_corner(filter_rad_s: object) -> float | None:
-    """The corner of a velocity filter, rad/s; None for that of the program."""
+    """The corner of a velocity filter, rad/s; None for the program's own corner."""
     if filter_rad_s is None:
         return None
     return as_number("filter_rad_s", filter_rad_s, "a number from 1 to 10000, or None")

@@ -9,7 +9,7 @@ from .errors import SettingsError
 from .identification import Identified
 from .settings import as_path, shown
 
-#: Spread without the argument, that of the command ``train``.
+#: Default of the argument ``spread``, the same as of the command ``train``.
 _SPREAD = 0.1
 
 

@@ -47,7 +47,7 @@ class Surrogate:
     candidates that the search has evaluated."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
-        """Use `Session.surrogate`."""
+        """Fits the surrogate of the session in this folder. Callers use `Session.surrogate`."""
         self._core = _core.Surrogate(as_path("folder", folder, _FOLDER))
         #: Lower and upper end of each entry of psi, by name, in the order of the coordinates.
         self.ranges: dict[str, tuple[float, float]] = {

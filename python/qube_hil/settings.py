@@ -5,7 +5,7 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from numbers import Real
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -43,6 +43,11 @@ def as_number(name: str, value: object, wanted: str) -> float:
         except OverflowError:
             pass
     raise SettingsError(f"{name} = {shown(value)}: give {wanted}")
+
+
+def is_whole(value: object) -> TypeGuard[int]:
+    """Whether an argument is a whole number; `True` and `False` are none."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def as_texts(name: str, values: object, wanted: str) -> list[str]:
@@ -108,8 +113,8 @@ def as_json(settings: object, argument: str = "") -> str:
 
 def written(settings: str | Mapping[str, Any], argument: str) -> str:
     """The settings as JSON. A name stands for settings of the program. ``thesis``: true states, and
-    a box of 2.3 rad for the arm. ``machine``: encoders, and the velocity filter that runs on the
-    machine. ``robust``: as ``machine``, with the last two commands in the observation and a box of
+    a box of 2.3 rad for the arm. ``machine``: encoders, and the velocity filter that runs on a real
+    Qube. ``robust``: as ``machine``, with the last two commands in the observation and a box of
     1.7 rad, for policies that are to run on a Qube. ``argument`` is the name of the argument."""
     if not isinstance(settings, (str, Mapping)):
         raise SettingsError(f"{argument} = {shown(settings)}: give thesis, machine, robust, or a mapping")

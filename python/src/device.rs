@@ -343,7 +343,7 @@ impl Device {
         Ok(Some(self.ended(py, state)?.episode()?.ending))
     }
 
-    /// Waits until the thread has closed the Qube, which was requested.
+    /// Brakes, and waits until the thread has closed the Qube.
     fn close_now(&self, py: Python<'_>, state: &mut State) {
         state.running = None;
         if let Some(served) = state.served.take() {

@@ -17,14 +17,17 @@ use crate::simulation::Lanes;
 /// Qubes of a distribution whose motions are checked.
 const MOTIONS_CHECKED: usize = 64;
 
-/// Control periods for which the motion of a Qube is checked, and those between two changes of the
-/// sign of its voltage.
+/// Control periods for which the motion of a Qube is checked.
 const STEPS_CHECKED: usize = 40;
+
+/// Control periods between two changes of the voltage's sign in this check.
 const STEPS_OF_A_PUSH: usize = 10;
 
-/// Names of profiles that are part of the program, as in its commands: the nominal specimen of each
-/// plant, and the real Qube whose recordings are published.
+/// Name of the profile of the nominal specimen of each plant, as in the program's commands.
 const IDEAL: &str = "ideal";
+
+/// Name of the profile of the real Qube whose recordings are published, as in the program's
+/// commands.
 const LAB: &str = "lab";
 
 /// The argument `profile` with its `spread`: an identified Qube around which others are drawn.

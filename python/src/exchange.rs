@@ -142,6 +142,8 @@ impl Controller for Remote {
         slot.waiting = false;
         match slot.answer_v.take() {
             Some(answer_v) => (self.held_v, self.late_in_a_row) = (answer_v, 0),
+            // A stop has ended the wait, and no answer was late.
+            None if self.stop.load(Ordering::Relaxed) => {}
             None => {
                 slot.late += 1;
                 self.late_in_a_row += 1;

@@ -113,7 +113,7 @@ fn read(folder: PathBuf) -> Result<Value, String> {
         }
         _ => settings,
     };
-    // JSON holds no path that is not UTF-8, as that of the folder may be.
+    // Paths are relative to the folder, because JSON cannot hold a folder's path that is not UTF-8.
     let below = SessionPaths::new(Path::new(""));
     let candidates: Vec<Value> = scored
         .iter()

@@ -68,8 +68,8 @@ pub fn read_settings(argument: &str, json: &str) -> PyResult<SimulationSettings>
     Ok(settings)
 }
 
-/// Checks that no entry is given which would have no effect. A record of a simulation names the
-/// guard that all simulations have, the box.
+/// Checks that no entry is given which would have no effect. The guard `box`, which all simulations
+/// have, is allowed, because records of simulations name it.
 fn check_used(argument: &str, given: &Value) -> Result<(), String> {
     let guard = &given["safety_box"]["guard"];
     if !guard.is_null() && guard != "box" {
@@ -159,7 +159,8 @@ fn check_table(
     }
 }
 
-/// Checks that a value is of the type of `known`.
+/// Checks that a value is of the type of `known`. Where an entry's values are names, checks that
+/// the entry accepts the name.
 fn check_value(entry: &str, value: &Value, known: &Value) -> Result<(), String> {
     let choices = names_of(&CHOICES, entry);
     let wanted = match (known, value) {

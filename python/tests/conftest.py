@@ -26,7 +26,7 @@ def beside(name):
 SHIPPED = beside("policies")
 PROGRAM = Path(sys.executable).parent / "qube-hil"
 
-# The program's memory of doubts about Qubes: that of the user is neither read nor written.
+# The program keeps its doubts about Qubes in this folder, so that the tests leave the user's folder alone.
 STATE = tempfile.mkdtemp(prefix="qube-hil-state-")
 atexit.register(shutil.rmtree, STATE, ignore_errors=True)
 os.environ["XDG_STATE_HOME"] = STATE

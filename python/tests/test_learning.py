@@ -334,7 +334,7 @@ def test_a_policy_replaces_files_alone(tmp_path):
             with pytest.raises(qube_hil.PolicyError, match=f"{place}: it is not a file: give a file"):
                 policy.save(place, force=force)
     assert pipe.is_fifo() and folder.is_dir()
-    # A link is replaced, and not what it leads to.
+    # The link is replaced, and the pipe to which it leads is not.
     link.symlink_to(pipe)
     with pytest.raises(qube_hil.PolicyError, match="exists already"):
         policy.save(link)

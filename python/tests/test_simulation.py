@@ -476,7 +476,7 @@ def test_every_environment_takes_the_same_seeds():
         for seed in [np.int64(1), np.uint8(1)]:
             assert (env.reset(seed=seed)[0] == first).all()
         env.reset(seed=2**64 - 1)
-        for seed in [-1, 2**64, 1.0, "1"]:
+        for seed in [-1, 2**64, 1.0, "1", True]:
             with pytest.raises(qube_hil.SettingsError, match=f"seed = {seed!r}"):
                 env.reset(seed=seed)
 

@@ -67,8 +67,8 @@ fn frames(log: &MotionLog) -> Vec<State> {
         .collect()
 }
 
-/// Time from the first frame to the last, between which a browser spreads all values evenly; that
-/// of one frame where there is no more.
+/// Time from the first frame to the last, s, over which a browser spreads all values evenly; with a
+/// single frame the time of one frame.
 fn duration_s(frames: &[State]) -> f64 {
     (frames.len().max(2) - 1) as f64 / FRAMES_PER_S
 }

@@ -26,9 +26,9 @@ const NAME_X: i32 = 14;
 /// Width of the panel, pixels.
 const PANEL: u32 = 880;
 
-/// Draws the share of repetitions that succeed, with its interval, for each method on each plant,
-/// after the only budget of real rollouts. Rows are the plants and colours the methods; with more
-/// methods than plants, rows are the methods and colours the plants.
+/// Draws the share of repetitions that succeed, with its interval, for each method on each plant.
+/// All shares have the same budget of real rollouts. Rows are the plants and colours the methods;
+/// with more methods than plants, rows are the methods and colours the plants.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -13,7 +13,8 @@ const WIDTH: u32 = 250;
 const HEIGHT: u32 = 210;
 /// Height of title, key and the words below the panels together, pixels.
 const AROUND: u32 = 100;
-/// Share of the distance between two budgets over which their methods stand side by side.
+/// Share of the distance between two budgets over which the points of one budget stand side
+/// by side.
 const SPREAD: f64 = 0.6;
 
 /// Draws the share of repetitions that succeed over the real rollouts, with its interval: a panel

@@ -17,8 +17,8 @@ use crate::storage::{Disk, Existing, FolderLock, MachineDisk, folder_of, write_n
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
 const ROOM_BYTES: usize = 1 << 18;
 
-/// Path, in the folder of the command that makes it, of the recording of the rollout with this
-/// number.
+/// Path of the recording of the rollout with this number; `folder` is the folder of the command
+/// that makes it.
 pub fn recording_of(folder: &Path, rollout: u32) -> PathBuf {
     folder.join(format!("rollout-{rollout}.mcap"))
 }
@@ -184,8 +184,8 @@ impl OutputFolder {
         })
     }
 
-    /// Checks that the folder can be written, that the disk has enough space, that the folder is not
-    /// that of a session or an experiment, and that no recording in it has a number below
+    /// Checks that the folder can be written, that the disk has enough space, that the folder does
+    /// not belong to a session or an experiment, and that no recording in it has a number below
     /// `rollouts`.
     pub fn check_for_recordings(&self, rollouts: u64) -> Result<(), Failure> {
         let names = fs::read_dir(&self.path)

@@ -76,7 +76,7 @@ pub struct PlantEntry {
     #[serde(default)]
     scale: BTreeMap<String, f64>,
     #[serde(default)]
-    /// Relative half width of the range from which each policy's own Qube is drawn, 0 to 0.5; 0
+    /// Relative half width of the range from which each policy's own Qube is drawn, 0 to 0.2; 0
     /// gives all policies the same Qube.
     pub vary: f64,
 }

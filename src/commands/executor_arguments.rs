@@ -149,8 +149,8 @@ fn check_words(program: &Path, root: &Path) -> Result<(), Failure> {
 }
 
 impl ExecutorArguments {
-    /// Checks, before a folder is made, that the executor can start workers: that the command is
-    /// one, or that Slurm is on this computer.
+    /// Checks, before a folder is made, that no option is given in vain and that the executor can
+    /// start workers: that the operator's command is valid, or that Slurm is on this computer.
     pub fn check(&self) -> Result<(), Failure> {
         if let Some(option) = self.unused_option() {
             return Err(Failure::usage(format!(

@@ -20,7 +20,7 @@ use crate::recording::RecordingError;
 use crate::rig::RigError;
 use crate::session::{FolderError, LedgerError, RigSessions, SessionError, SessionPaths};
 
-/// The step of the operator after a check of a Qube in doubt, and the next one of the program.
+/// The operator's step after looking at a Qube in doubt, and the program's step after that.
 pub const THEN_ACKNOWLEDGE: &str =
     "Then start again with --acknowledge: the Qube is examined before it is driven";
 
@@ -132,8 +132,8 @@ fn recording_of_session(error: &RecordingError, resume: &str) -> Failure {
     }
 }
 
-/// The failure of a command that has shown as much as a recording holds; `loss` says what is
-/// missing in it.
+/// The failure of a command that has read an incomplete recording; `loss` is the missing part, in
+/// words that follow "the recording".
 pub fn incomplete(file: &Path, loss: &str) -> Failure {
     Failure::data_lost(one_line(&format!("{}: the recording {loss}", file.display())))
 }

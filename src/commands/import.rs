@@ -78,7 +78,7 @@ const EXPORT_FAILED: &str = ". If torch.onnx.export failed, as its default expor
     Stable-Baselines3, use Policy.from_sb3 or Policy.from_torch of the Python package, or export with dynamo=False";
 
 impl Arguments {
-    /// Whether a convention of a foreign file was given.
+    /// Whether an option besides `--action-scale` gives a convention of a foreign file.
     fn gives_conventions(&self) -> bool {
         self.observation.is_some()
             || self.history.is_some()

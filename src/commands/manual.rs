@@ -41,8 +41,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Adds the pages of a command's subcommands and then that of the command to `found`, each with the
-/// name of its file.
+/// Adds the pages of a command's subcommands and then the command's own page to `found`, each with
+/// the name of its file.
 fn add_pages(command: &clap::Command, found: &mut Vec<(String, Vec<u8>)>) {
     for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
         add_pages(below, found);

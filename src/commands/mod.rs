@@ -70,7 +70,9 @@ use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 use output::Output;
 
@@ -210,10 +212,11 @@ pub fn run_options() -> Vec<(String, bool)> {
 /// Sends the log to stderr: warnings; with one `-v` information, too; with two, debug messages. The
 /// environment variable `RUST_LOG` replaces this choice.
 fn log_to_stderr(verbose: u8) {
-    let level = ["warn", "info", "debug"][usize::from(verbose.min(2))];
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    let levels = [LevelFilter::WARN, LevelFilter::INFO, LevelFilter::DEBUG];
+    let asked = std::env::var("RUST_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
+    let by_flags = Targets::new().with_default(levels[usize::from(verbose.min(2))]);
     tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_max_level(LevelFilter::TRACE)
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .without_time()
@@ -221,6 +224,8 @@ fn log_to_stderr(verbose: u8) {
         // The subscriber would print its own errors on stderr, and panic if stderr cannot be
         // written.
         .log_internal_errors(false)
+        .finish()
+        .with(asked.unwrap_or(by_flags))
         .init();
 }
 

@@ -92,9 +92,9 @@ fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant,
     Ok(Plant { name: entry.name, emulated, vary })
 }
 
-/// Refuses the name that stands for the real Qube, and that of a file beside the plant's folder of
-/// recordings in the folder of a policy, in capital letters or not. The experiment refuses all
-/// other names that are not valid for a folder.
+/// Refuses the name that stands for the real Qube, and, in letters of either case, the names of the
+/// files in a policy's folder, beside which the plant's folder of recordings lies. The experiment
+/// refuses all other names that are not valid for a folder.
 fn check_name(name: &str) -> Result<(), String> {
     if name == REAL_QUBE {
         return Err(format!(

@@ -31,7 +31,7 @@ pub fn named_profile(name: &Path, plant: &PlantModel) -> Result<Profile, Failure
         }
         Some(LAB) => Profile::lab(),
         _ => {
-            let profile = read(name, AND_NAMES)?;
+            let profile = read(name, OR_NAMES)?;
             check_plant(name, &profile, plant).map_err(Failure::usage)?;
             profile
         }
@@ -44,7 +44,7 @@ pub fn named_of_any_plant(name: &Path) -> Result<Option<Profile>, Failure> {
     match name.to_str() {
         Some(IDEAL) => Ok(None),
         Some(LAB) => named_profile(name, &PlantModel::QUBE).map(Some),
-        _ => read(name, AND_NAMES).map(Some),
+        _ => read(name, OR_NAMES).map(Some),
     }
 }
 
@@ -81,8 +81,8 @@ pub fn check_plant(name: &Path, profile: &Profile, plant: &PlantModel) -> Result
     ))
 }
 
-/// The end of an error's sentence where a name stands for a profile, too.
-const AND_NAMES: &str = ", or one of the names ideal and lab";
+/// The end of an error's sentence where the names `ideal` and `lab` are accepted, too.
+const OR_NAMES: &str = ", or one of the names ideal and lab";
 
 /// Reads a profile file of a specimen of any plant; `names` ends the sentence that says what to
 /// give.

@@ -99,8 +99,8 @@ fn folder_asked(arguments: &Arguments) -> Result<Option<&Path>, Failure> {
     }
 }
 
-/// The place of the page, checked before the work: that of `--out`, else one that follows from the
-/// folder or from the first recording, where only a report is replaced.
+/// The place of the page, checked before the work: the path of `--out`, else a path that follows
+/// from the folder or from the first recording, at which only a report is replaced.
 fn place(arguments: &Arguments, folder: Option<&Path>) -> Result<(PathBuf, OutputFile), Failure> {
     if let Some(path) = &arguments.out {
         let existing = Existing::replaced_if(arguments.force);

@@ -169,9 +169,10 @@ pub enum SessionPreset {
 }
 
 impl SessionPreset {
-    /// The settings of a session of this extent on a plant. The emulated Qube of the thesis's
-    /// session is the nominal one. That of every other session, whatever its method, differs from
-    /// it as a real Qube does: it is `lab`, or another plant that differs in the same proportions.
+    /// The settings of a session of this extent on a plant. In the thesis's own session (extent
+    /// `thesis`, with the method `bayrn` or without one) the emulated Qube is the nominal one. In
+    /// every other session it differs from the nominal one as a real Qube does: it is `lab`, or for
+    /// another plant a specimen that differs in the same proportions.
     pub fn settings(self, plant: &PlantModel, method: Option<SessionMethod>) -> SessionSettings {
         let is_published =
             self == Self::Thesis && method.is_none_or(|it| it == SessionMethod::Bayrn);

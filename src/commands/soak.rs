@@ -166,7 +166,7 @@ struct Soaked {
     missed_deadlines: u64,
     void: u64,
     last_was_void: bool,
-    last_fault: Option<VoidReason>,
+    last_void_reason: Option<VoidReason>,
     largest_lateness_ns: u64,
     memory_at_start_bytes: Option<i64>,
     memory_bytes: i64,
@@ -248,7 +248,7 @@ impl Soaked {
         self.last_was_void = match score_recording(recording) {
             Verdict::Void { reason } => {
                 self.void += 1;
-                self.last_fault = Some(reason);
+                self.last_void_reason = Some(reason);
                 true
             }
             Verdict::Result { .. } => false,
@@ -278,9 +278,9 @@ impl Soaked {
         if self.lost > 0 {
             return Err(Failure::data_lost(format!("{} ticks were lost", self.lost)));
         }
-        if let Some(fault) = &self.last_fault {
+        if let Some(reason) = &self.last_void_reason {
             let void = self.void;
-            return Err(Failure::fault(format!("{void} rollouts ended by faults, last: {fault}")));
+            return Err(Failure::fault(format!("{void} rollouts are void, last: {reason}")));
         }
         match self.growth_bytes() {
             Some(growth) if growth > MAX_GROWTH_BYTES => Err(Failure::failed(format!(
@@ -341,7 +341,8 @@ mod tests {
     #[test]
     fn scripts_get_the_reason_why_a_soak_that_ran_to_its_end_fails() {
         let lost = Soaked { lost: 2, ..Soaked::default() };
-        let void = Soaked { void: 1, last_fault: Some(VoidReason::LostTicks), ..Soaked::default() };
+        let void =
+            Soaked { void: 1, last_void_reason: Some(VoidReason::LostTicks), ..Soaked::default() };
         for (soaked, exit_code) in [(lost, 3), (void, 4)] {
             let ended_by = &soaked.json(&soaked.verdict())["ended_by"];
             assert_eq!(ended_by["exit_code"], exit_code, "{ended_by}");

@@ -1,4 +1,4 @@
-//! Stop requests by Ctrl-C, SIGTERM, SIGHUP, a key or the live view: what moves is braked, the
+//! Stop requests by Ctrl-C, SIGTERM, SIGHUP, a key or the live view: a moving arm is braked, the
 //! state is kept, and the exit code names the signal.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

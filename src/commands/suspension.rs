@@ -7,7 +7,7 @@ use signal_hook::consts::SIGTSTP;
 /// Whether the signal has come since the last [`Suspension::was_asked`].
 static ASKED: AtomicBool = AtomicBool::new(false);
 
-/// The signal is taken while this value lives; dropping it restores the system's own reaction.
+/// A handler of SIGTSTP, which replaces the system's own reaction until it is dropped.
 #[derive(Debug)]
 pub struct Suspension(());
 
@@ -46,7 +46,8 @@ fn take_signal() {
     set_handler(note as extern "C" fn(libc::c_int) as libc::sighandler_t);
 }
 
-/// signal-hook cannot do this: it never restores the system's reaction.
+/// Sets the reaction to SIGTSTP. The crate signal-hook cannot do this, because it never restores
+/// the system's own reaction.
 fn set_handler(handler: libc::sighandler_t) {
     // SAFETY: the handler is the system's own, or `note`, which only stores to an atomic.
     unsafe { libc::signal(SIGTSTP, handler) };

@@ -180,7 +180,7 @@ pub fn wait_for_input(wake: Option<BorrowedFd<'_>>) -> bool {
     poll(&mut ready, Some(&POLL_INTERVAL)).is_ok() && !ready[0].revents().is_empty()
 }
 
-/// Reads what [`wait_for_input`] has found.
+/// Reads the input that [`wait_for_input`] has found.
 ///
 /// Ctrl-C discards the keys that were typed before it, so that a key may be gone by the time it is
 /// read. A read of stdin would then wait for the next one, and the program could not end.
@@ -198,8 +198,9 @@ pub fn read_input(buffer: &mut [u8]) -> rustix::io::Result<usize> {
     }
 }
 
-/// Discards the keys that were typed and not read. Input from elsewhere than a terminal stays, and
-/// so does that of a terminal in which the program is in the background: the system would stop it.
+/// Discards the keys that were typed and not read. Input from elsewhere than a terminal stays. So
+/// do the keys at a terminal in whose background the program runs, because the system would stop
+/// the program.
 pub fn discard_typed_keys() {
     if is_foreground() {
         let _ = tcflush(stdin(), QueueSelector::IFlush);

@@ -289,8 +289,8 @@ fn failure(error: JobError, checkpoint: Option<&Path>, stop: &Stop) -> Failure {
     }
 }
 
-/// Checks that a checkpoint can be written to this path, and that it is another one than that of
-/// the policy, which the removal of the checkpoint would remove.
+/// Checks that a checkpoint can be written to this path, and that `out`, the path of the policy, is
+/// another: otherwise the removal of the checkpoint would remove the policy.
 fn check_checkpoint(path: &Path, out: &Path) -> Result<(), Failure> {
     let shown = path.display();
     check_folder(folder_of(path))?;

@@ -67,7 +67,8 @@ impl TrainingDisplay {
     }
 }
 
-/// The line after an update without a screen; `None` where it would be more than every tenth.
+/// The line of progress after an update; `None` for an update without a line, because a training
+/// writes at most [`LINES`] lines.
 fn line_after(done: u32, all: u32, best_return: f64, left: Option<Duration>) -> Option<String> {
     if (done * LINES) % all >= LINES {
         return None;

@@ -6,11 +6,14 @@ use crate::telemetry::{Consequence, Ending, Fault, TickRecord};
 /// at the Qube then expects that the program goes on by itself.
 const SLEEP_US: u64 = 2_000_000;
 
-/// The fault to which the program reacts after a motion: that of its ending, or one that only the
-/// whole report shows; `None` after a motion without any. At an emulated Qube a computer may sleep.
+/// The fault to which the program reacts after a motion: the fault of its ending, or one that only
+/// the whole report shows; `None` after a motion without any. With an emulated Qube, a sleep of the
+/// computer is no fault.
 ///
-/// A fault that allows no other attempt comes before a motor that is not confirmed to be off, which
-/// the log then names beside it; [`DriveReport::disarmed`] tells both apart.
+/// If the motor is not confirmed to be off, the log says so, and the result is
+/// [`Fault::OffUnconfirmed`], unless the ending is a fault with a consequence other than
+/// [`Consequence::TryAgain`]. [`DriveReport::disarmed`] shows whether the motor was confirmed to be
+/// off.
 #[must_use]
 pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     let fault = match report.outcome.ending {
@@ -34,8 +37,9 @@ pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
 }
 
 /// Whether the computer slept between two of these ticks: whole periods were skipped because the
-/// program stood still, or the device's clock went on while the computer's stood still, too. A
-/// device's clock that went back shows a gap of more than half its range, which is no sleep.
+/// program stood still, or the device's clock went on while the computer's clock stood still as
+/// well. A device's clock that went back shows a gap of more than half its range, which is no
+/// sleep.
 fn has_slept(ticks: &[TickRecord]) -> bool {
     let is_long = |us: u64| (SLEEP_US..1 << 31).contains(&us);
     let skipped = |tick: &TickRecord| u64::from(tick.skipped_periods) * CONTROL_PERIOD_NS / 1000;

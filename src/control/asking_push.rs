@@ -117,8 +117,8 @@ pub struct AskingPush {
     sent_ticks: u32,
     /// The last voltages sent, newest first, V.
     last_sent_v: [f64; 1 + SLOWEST_TICKS],
-    /// Sums of the voltages that had reached the motor instead of `sent_v` if it is slower by 1 and
-    /// 2 periods, V.
+    /// Sums of the voltages that had reached the motor instead of `sent_v` if the motor is slower
+    /// by 1 and 2 periods, V.
     reached_v: [f64; SLOWEST_TICKS],
     /// Sum of the pendulum's load in the same ticks.
     loaded: Load,
@@ -251,7 +251,7 @@ impl AskingPush {
     /// `holding_v` did not hold the arm, V.
     ///
     /// The mean voltage held the arm against the load of that time, so a load that has not changed
-    /// takes up nothing. A slower motor was held by the mean of earlier voltages.
+    /// takes up nothing. With a slower motor, the mean of earlier voltages held the arm.
     fn held_v(&self, load: &Load) -> f64 {
         if self.trusts_holding {
             return load.weight_v.abs() + load.swing_v.abs();

@@ -1,4 +1,5 @@
-//! The end of a brake: the arm has stopped, its time is up, or it does not obey the motor.
+//! Decides when a brake ends: the arm has stopped, the time for braking is up, or the arm does not
+//! obey the motor.
 
 use super::rest::{CentredDetector, STOPPED_RAD_S};
 use crate::qube::{CONTROL_PERIOD_S, State};
@@ -27,7 +28,8 @@ const RUNAWAY_RAD_S: f64 = 5.0;
 /// the motor: the brake of any plant within the domain of the guard has stopped it long before.
 const SURELY_BRAKED_TICKS: u32 = (1.0 / CONTROL_PERIOD_S) as u32;
 
-/// Velocity of an arm that the brake makes faster, rad/s.
+/// Velocity of the arm above which it does not obey the motor, rad/s, after
+/// [`SURELY_BRAKED_TICKS`]: only an arm that the brake makes faster is so fast then.
 const STILL_FAST_RAD_S: f64 = 15.0;
 
 /// The state of an arm whose brake has ended.

@@ -84,7 +84,7 @@ impl DeviceOwner {
     /// As for [`greet_until_answered`].
     pub fn hello(&mut self, retries: HelloRetries) -> Result<Identity, DeviceError> {
         let identified = greet_until_answered(&mut *self.device, &*self.clock, &self.stop, retries);
-        // The cable is the same after a hello.
+        // A hello does not change how the cable pulls the arm.
         let waits_for = self.rest_monitor.waits_for;
         self.rest_monitor = RestMonitor { waits_for, ..RestMonitor::default() };
         if let Ok(identity) = &identified {
@@ -129,7 +129,7 @@ impl DeviceOwner {
         records: &mut rtrb::Producer<TickRecord>,
     ) -> Result<DriveReport, ControlError> {
         let driven = self.drive_from_rest(settings, controller, records);
-        // Where the last motion ended says nothing about the time after this rollout.
+        // The resting counts of the last motion do not hold after this rollout, however it ended.
         self.rest_monitor.left_at = Err(Moved::Unseen);
         Ok(self.keep_at_rest(driven?))
     }

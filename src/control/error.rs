@@ -4,7 +4,7 @@ use super::{ControlEvent, ControlState, Moved};
 use crate::device::DeviceError;
 
 /// Error: the control thread has panicked. It switches the motor off where it still can, else the
-/// device's watchdog does, but nobody hears whether it is off.
+/// device's watchdog does, but the program does not learn whether the motor is off.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 #[error(
     "the control thread has ended unexpectedly. The motor should be off, but nobody has confirmed it: \

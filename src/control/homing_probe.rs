@@ -62,7 +62,7 @@ pub struct HomingProbe {
     reach_rad: f64,
     ramp_v_s: f64,
     /// Number of consecutive pushes that have moved nothing.
-    vain_pushes: u32,
+    pushes_without_motion: u32,
     /// Whether a push has moved the arm, which must be at rest before the next one.
     has_moved: bool,
     waited_ticks: u32,
@@ -95,7 +95,7 @@ impl HomingProbe {
             direction: -1.0,
             reach_rad: REACH_PER_SWING.mul_add(swing_rad, REACH_RAD),
             ramp_v_s: RAMP_V_S / SLOWER_PER_SWING.mul_add(swing_rad, 1.0),
-            vain_pushes: 0,
+            pushes_without_motion: 0,
             has_moved: false,
             waited_ticks: 0,
             ticks: 0,
@@ -112,7 +112,8 @@ impl HomingProbe {
 
     /// Starts another push in the other direction, after one that has moved the arm.
     pub fn push_again(&mut self) {
-        *self = Self { vain_pushes: 0, has_moved: true, waited_ticks: 0, ..self.turned() };
+        *self =
+            Self { pushes_without_motion: 0, has_moved: true, waited_ticks: 0, ..self.turned() };
     }
 
     fn turned(&self) -> Self {
@@ -139,8 +140,8 @@ impl HomingProbe {
             self.strongest_ticks += 1;
         }
         if self.strongest_ticks >= STRONGEST_TICKS {
-            self.vain_pushes += 1;
-            if self.vain_pushes > 1 {
+            self.pushes_without_motion += 1;
+            if self.pushes_without_motion > 1 {
                 return PushResponse::Stays;
             }
             *self = self.turned();

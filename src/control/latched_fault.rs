@@ -6,7 +6,8 @@ use crate::safety::{Contradiction, Foreseen};
 use crate::telemetry::Fault;
 
 /// A fault that a rollout has latched and that other threads can see while the arm is still damped
-/// or braked, which takes up to 15 s: a program that is killed meanwhile has not forgotten it.
+/// or braked, which takes up to 15 s. The rig stores the doubt that the fault leaves, so that the
+/// doubt outlives a program that is killed meanwhile.
 #[derive(Debug, Default)]
 pub(super) struct LatchedFault {
     /// Place of the fault in [`Fault::ALL`], from 1; 0 without a fault.
@@ -26,8 +27,8 @@ impl LatchedFault {
     }
 }
 
-/// A rollout that shows the fault that it has latched after each tick. Its tick stays as it is:
-/// nothing is locked or allocated.
+/// A rollout that, after each tick, shows other threads the fault that it has latched, if any. This
+/// neither locks nor allocates.
 pub(super) struct ShownRollout<'a, C> {
     tick: Tick<C>,
     latched: &'a LatchedFault,

@@ -181,7 +181,8 @@ impl MomentumWatch {
 
     /// Takes a sample with the pendulum's angle `alpha`, rad, 0 at hanging, the last voltage sent,
     /// V, and the motor current, A, both in the signs of the equations of motion. Returns whether
-    /// the arm's count is constant although the arm moves, or has resumed a motion after it was.
+    /// the arm's count is constant although the arm moves, or has resumed a motion after it was
+    /// constant.
     pub fn is_frozen(
         &mut self,
         sample: &Measurement,

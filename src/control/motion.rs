@@ -79,7 +79,7 @@ pub trait Motion: Send {
         None
     }
 
-    /// How the Qube contradicted its profile, if this ended the motion.
+    /// Contradiction between the Qube and its profile that ended the motion; `None` if none did.
     fn contradiction(&self) -> Option<Contradiction> {
         None
     }

@@ -1,15 +1,15 @@
 //! Reduces the gain of a settling that oscillates because its voltage arrives late.
 
 /// Least difference between two consecutive turning points of the voltage that counts as an
-/// oscillation, V. With 0.4 V, the voltage of an arm that sticks and slips took gain where the gain
-/// was needed, and 4 of 3000 Qubes touched a stop at up to 8.5 rad/s; with 0.6 V, one did, at
-/// 2.3 rad/s.
+/// oscillation, V. With 0.4 V, the voltage of an arm that sticks and slips reduced the gain where
+/// the gain was needed, and 4 of 3000 Qubes touched a stop at up to 8.5 rad/s; with 0.6 V, one did,
+/// at 2.3 rad/s.
 const LEAST_REVERSAL_V: f64 = 0.6;
 
 /// Longest time between two consecutive turning points that counts as an oscillation, control
 /// periods. Feedback that arrives late swings at 4 to 8 Hz, so that its voltage turns every 6 to 12
-/// periods. A pendulum that hangs from a light arm swings at up to 2.9 Hz. One that whirls at 25
-/// rad/s takes gain, too; it comes to rest with what is left.
+/// periods. A pendulum that hangs from a light arm swings at up to 2.9 Hz. A pendulum that whirls
+/// at 25 rad/s reduces the gain, too; the gain that is left brings it to rest.
 const LONGEST_HALF_PERIOD: u32 = 13;
 
 /// Factor by which each turning point of an oscillation multiplies the gain.
@@ -29,7 +29,7 @@ const LEAST_GAIN: f64 = 0.4;
 ///
 /// `safety`'s `RingingGain` does the same for a brake, by changes of the voltage's sign. The
 /// voltage of settling swings about an offset, against a cable or ahead of the arm, and need not
-/// change its sign; so this one counts turning points.
+/// change its sign; so this type counts turning points.
 #[derive(Clone, Copy, Debug)]
 pub struct OscillationGain {
     gain: f64,

@@ -14,14 +14,14 @@ const REST_SAMPLES: u32 = 60;
 /// counts of a Qube's encoders. An arm without dry friction that still creeps this much moves on by
 /// 8 counts before it stops. A smaller width would cost 8 s after each rollout on a Qube whose
 /// cable pulls the arm slowly.
-const ARM_WIDTH: f64 = 5.0;
+const ARM_WIDTH_COUNTS: f64 = 5.0;
 
 /// Largest bend of the arm's path over 0.6 s of rest, counts: the sum of its first and last count
 /// minus twice the one half-way. An arm without dry friction swings about the angle to which its
 /// cable pulls it; a stiff cable gives it a period of 3 s. Where it turns round, it moves by 5
 /// counts in 0.6 s before it swings back by 50. A swinging pendulum bends the path, too. An arm
 /// whose path is bent is at rest after [`LONG_REST_SAMPLES`].
-const LARGEST_BEND: f64 = 2.0;
+const LARGEST_BEND_COUNTS: f64 = 2.0;
 
 /// Number of consecutive samples that count as rest if the arm's path is bent or the arm has crept
 /// away before: 2.4 s.
@@ -30,15 +30,15 @@ const LONG_REST_SAMPLES: u32 = 240;
 /// Largest range of the pendulum's samples at rest, counts: 0.3 rad to either side. On an arm held
 /// by dry friction the pendulum swings for a minute; the middle of a whole swing is the count at
 /// which it hangs.
-const PENDULUM_WIDTH: f64 = 200.0;
+const PENDULUM_WIDTH_COUNTS: f64 = 200.0;
 
 /// Largest change of a count that leaves its zero valid, counts: 0.05 rad. A cable may pull the arm
 /// farther within seconds; then the arm is homed before the next rollout, which is always safe.
-const TOLERANCE: f64 = 16.0;
+const TOLERANCE_COUNTS: f64 = 16.0;
 
 /// Largest change of an undriven arm's velocity within a tick, counts a tick: 5 rad/s. A larger
 /// change is a jump of the count, or a blow.
-const LARGEST_KICK: f64 = 16.0;
+const LARGEST_KICK_COUNTS: f64 = 16.0;
 
 /// Counts at which arm and pendulum are at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,7 +82,8 @@ impl RestingCounts {
         encoders: Encoders,
     ) -> Result<(), Moved> {
         let arm = self.theta.wrapping_sub(before.theta);
-        if arm.unsigned_abs() > encoders.theta.covering_qube_counts(TOLERANCE).unsigned_abs() {
+        if arm.unsigned_abs() > encoders.theta.covering_qube_counts(TOLERANCE_COUNTS).unsigned_abs()
+        {
             return Err(Moved::Arm(encoders.theta.angle_rad(arm)));
         }
         let whole_turn = encoders.alpha.counts_per_revolution();
@@ -92,7 +93,7 @@ impl RestingCounts {
         // again.
         let pendulum = self.alpha.wrapping_sub(alpha_zero_counts).wrapping_add(half_turn);
         let pendulum = pendulum.rem_euclid(whole_turn) - half_turn;
-        if pendulum.abs() > encoders.alpha.covering_qube_counts(TOLERANCE) {
+        if pendulum.abs() > encoders.alpha.covering_qube_counts(TOLERANCE_COUNTS) {
             return Err(Moved::Pendulum(encoders.alpha.angle_rad(pendulum)));
         }
         Ok(())
@@ -157,8 +158,8 @@ impl RestWatch {
         self.follow(sample);
         let theta = self.theta.with(sample.theta_counts);
         let alpha = self.alpha.with(sample.alpha_counts);
-        let arm_width = self.encoders.theta.covering_qube_counts(ARM_WIDTH);
-        let pendulum_width = self.encoders.alpha.covering_qube_counts(PENDULUM_WIDTH);
+        let arm_width = self.encoders.theta.covering_qube_counts(ARM_WIDTH_COUNTS);
+        let pendulum_width = self.encoders.alpha.covering_qube_counts(PENDULUM_WIDTH_COUNTS);
         let is_within = theta.width() <= arm_width && alpha.width() <= pendulum_width;
         if self.samples > 0 && is_within {
             (self.theta, self.alpha) = (theta, alpha);
@@ -169,7 +170,7 @@ impl RestWatch {
             }
             if self.samples == REST_SAMPLES {
                 let bend = (gone - 2 * self.half_way).abs();
-                if bend > self.encoders.theta.covering_qube_counts(LARGEST_BEND) {
+                if bend > self.encoders.theta.covering_qube_counts(LARGEST_BEND_COUNTS) {
                     self.needed_samples = LONG_REST_SAMPLES;
                 }
             }
@@ -204,7 +205,7 @@ impl RestWatch {
         });
         if let Some((counts, ticks, Some(velocity))) = moved {
             let kick = (counts - velocity * ticks).abs();
-            let largest_kick = LARGEST_KICK * self.encoders.theta.counts_per_qube_count();
+            let largest_kick = LARGEST_KICK_COUNTS * self.encoders.theta.counts_per_qube_count();
             self.has_jumped |= kick > largest_kick * ticks.max(1.0);
         }
         self.last = Some(Last {

@@ -543,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pendulum_that_stays_while_the_arm_jerks_is_frozen() {
+    fn a_pendulum_that_stays_while_the_arm_changes_its_velocity_is_frozen() {
         let jerking = |alpha_per_tick: i32| {
             let at = move |tick: u32, sample: &mut Measurement| {
                 // From rest to 7 rad/s in 70 ms.

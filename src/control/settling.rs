@@ -142,9 +142,8 @@ const LEAST_SHARE: f64 = 0.2;
 /// meanwhile does no damage.
 ///
 /// With a delay of more than 8 ms, the limited slew rate can keep arm and pendulum swinging to and
-/// fro. The swing ends with smaller gains, which need smaller slew rates: they fall while the
-/// voltage oscillates ([`OscillationGain`]), and after `FULL_GAIN_TICKS` as the reciprocal of the
-/// time.
+/// fro. Smaller gains need smaller slew rates and end the swing: the gains fall while the voltage
+/// oscillates ([`OscillationGain`]), and after `FULL_GAIN_TICKS` as the reciprocal of the time.
 #[derive(Clone, Copy, Debug)]
 pub struct GentleSettler {
     settler: Settler,

@@ -1,7 +1,7 @@
 //! Detects a program that is too slow for its control period. The loop skips whole periods that
-//! have passed, so that each deadline by itself is met nearly in time. Only the skipped periods show
-//! that the policy did not get its 100 decisions a second, and that the return is not that of the
-//! policy.
+//! have passed, so that each deadline by itself is met nearly in time. Only the skipped periods
+//! show that the policy did not get its 100 decisions a second, so that the return does not
+//! measure the policy.
 
 /// Share of the control periods that may be skipped, which allows for single stalls of a busy
 /// computer.

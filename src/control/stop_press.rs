@@ -13,8 +13,8 @@ const NEAR_STOP_RAD: f64 = 0.3;
 /// its angle is stored.
 const REST_TICKS: u32 = 50;
 
-/// Distance from the stored angle, or before the rest from the first one, that only a push by hand
-/// or too small a voltage explains, rad: 4 mm at the arm's end.
+/// Distance from the stored angle, or from the first angle while none is stored, that only a push
+/// by hand or too small a voltage explains, rad: 4 mm at the arm's end.
 const PUSHED_RAD: f64 = 0.05;
 
 /// Distance from the stored angle within which a pushed arm has come back, rad.

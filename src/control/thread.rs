@@ -44,8 +44,8 @@ pub enum Scheduling {
 }
 
 impl ControlThread {
-    /// Starts the thread. Setting `stop` ends every motion and wait: a rollout by
-    /// braking, homing by switching the amplifier off.
+    /// Starts the thread. Setting `stop` ends every motion and wait: a rollout by braking, homing
+    /// by switching the amplifier off.
     ///
     /// # Errors
     /// The operating system cannot start a thread.
@@ -210,8 +210,8 @@ impl ControlThread {
         self.begin(task)?.recv().map_err(|_| self.gone())
     }
 
-    /// The error of a thread that ends, once it has dropped the device, which switches the motor
-    /// off.
+    /// The error of a thread that ends. Waits until the thread has dropped the device, which
+    /// switches the motor off.
     fn gone(&self) -> ThreadGone {
         let _ = self.ended.recv();
         ThreadGone

@@ -59,7 +59,7 @@ pub struct Tick<C = Policy> {
     angle: Option<ForeseenAngle>,
     /// Prediction because of which foresight ended the policy; `None` if foresight did not end it.
     foreseen: Option<Foreseen>,
-    /// How the Qube contradicted its profile, if this ended the policy.
+    /// Contradiction between the Qube and its profile that ended the policy; `None` if none did.
     contradiction: Option<Contradiction>,
     brake: Brake,
     /// Whether the brake uses the arm's velocity alone, because the arm's count is doubted.
@@ -185,7 +185,8 @@ impl<C: Controller> Tick<C> {
     }
 
     /// The event that a requested stop, the Qube's state or the time causes in this phase, with the
-    /// ending that it gives; `contradiction` is how the Qube's motion contradicts its profile.
+    /// ending that it gives. `contradiction` is the one between the Qube's last motion and its
+    /// profile, if there is one.
     fn event(
         &mut self,
         input: &TickInput,
@@ -252,8 +253,8 @@ impl<C: Controller> Tick<C> {
             Alarm::SwitchOff(fault) => {
                 self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))
             }
-            // A sound motor overheats because of the policy: the policy has left a limit, and nothing
-            // is at fault.
+            // A sound motor overheats because of the policy: the policy has left a limit, and
+            // nothing is at fault.
             Alarm::Brake(Fault::MotorOverheated) if self.is_limited_by_motor() => {
                 let of_motor = Ending::LeftBox(Limit::MotorLoad);
                 self.phase == Phase::Running && self.take(ControlEvent::LimitLeft, of_motor)
@@ -365,7 +366,8 @@ impl<C: Controller> Tick<C> {
         differs.filter(|_| self.settings.rules >= TickRules::VoltageCompared)
     }
 
-    /// How the last motion of the Qube contradicts the profile that foresight simulates.
+    /// The contradiction between the Qube's last motion and the profile that foresight simulates,
+    /// if there is one.
     fn contradiction_of_profile(&mut self, device_time_us: u64) -> Option<Contradiction> {
         self.foresight.as_mut()?.contradiction(
             &self.estimates.guarded,
@@ -419,9 +421,10 @@ impl<C: Controller> Tick<C> {
     }
 }
 
-/// The alarm to act on: the first that switches the motor off at once, otherwise the first of all. An
-/// overheated motor or a late computer gives an alarm in each tick, also while the brake works, and
-/// must not hide a fault of the arm. Before [`TickRules::FaultsFirst`] it is the first of all.
+/// The alarm to act on: the first that switches the motor off at once, otherwise the first of all.
+/// An overheated motor or a late computer gives an alarm in each tick, also while the brake works,
+/// and must not hide a fault of the arm. By the rules before [`TickRules::FaultsFirst`], the alarm
+/// to act on is always the first of all.
 fn most_urgent(alarms: [Option<Alarm>; 4], rules: TickRules) -> Option<Alarm> {
     let mut given = alarms.into_iter().flatten();
     let switches_off =

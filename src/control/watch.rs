@@ -109,8 +109,8 @@ impl Watch {
             return (blind_ns > MAX_BLIND_NS).then_some(Alarm::SwitchOff(Fault::NoSample));
         };
         self.last_valid_ns = Some(input.deadline_ns);
-        // Before all else that may be wrong, also after a sleep of the computer: no program goes on
-        // by itself after this.
+        // An emergency stop is named before anything else that may be wrong, also after a sleep of
+        // the computer, because no program goes on by itself after an emergency stop.
         if measurement.status.emergency_stop {
             return Some(Alarm::SwitchOff(Fault::EmergencyStop));
         }

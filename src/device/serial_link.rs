@@ -234,7 +234,7 @@ impl<T: Transport> SerialLink<T> {
         self.device_time = DeviceTime::default();
     }
 
-    /// The error for requests without an answer, or with none of use, for `wait_ns`.
+    /// The error for requests that have got no useful answer for `wait_ns`.
     fn silence(&self, nothing: &str, wait_ns: Nanoseconds) -> DeviceError {
         let Traffic { answered_ns, bytes, requests } = self.heard;
         let nothing = format!("{nothing} in {:.1} s", wait_ns as f64 * 1e-9);
@@ -361,7 +361,8 @@ impl<T: Transport> SerialLink<T> {
     /// Takes the nonce for an arm: each is valid once.
     ///
     /// # Errors
-    /// There is none: the device has restarted or was not greeted, or a trip or fault is latched.
+    /// There is no nonce: the device has restarted or was not greeted, or a trip or fault is
+    /// latched.
     fn take_nonce(&mut self) -> Result<u32, DeviceError> {
         match self.arm_nonce {
             Ok(nonce) => {

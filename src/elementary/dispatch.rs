@@ -48,7 +48,7 @@ pub enum Level {
 }
 
 /// Index in [`Level::ALL`] of the best level that may be used. It changes the speed, and the
-/// results of those kernels alone that depend on [`InstructionSet::LEVEL`].
+/// results only of kernels that read [`InstructionSet::LEVEL`].
 static FIRST_ALLOWED: AtomicU8 = AtomicU8::new(0);
 
 impl Level {

@@ -8,7 +8,7 @@ use super::results::{PolicyResult, RecipeResult, Results};
 use super::statistics::mean;
 
 /// Number of random assignments of signs in a permutation test of many pairs, where the smallest
-/// p-value is 0.0001. Of fewer than 14 pairs there are fewer assignments, and each is counted.
+/// p-value is 0.0001. Fewer than 14 pairs have fewer assignments, and each of these is counted.
 const PERMUTATIONS: usize = 9_999;
 
 /// Seed of the random signs: the same results give the same p-value.
@@ -66,8 +66,8 @@ impl Results {
 }
 
 impl Comparison {
-    /// The smallest value that `success_p` can have with so many pairs and comparisons: that of
-    /// policies of which one recipe's all succeed and the other's all fail.
+    /// The smallest value that `success_p` can have with so many pairs and comparisons: its value
+    /// where all policies of one recipe succeed and all policies of the other fail.
     #[must_use]
     pub fn smallest_success_p(&self) -> f64 {
         (self.corrected_for as f64 * mcnemar(self.pairs, 0)).min(1.0)
@@ -128,8 +128,9 @@ fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
 /// none differs.
 fn mcnemar(gained: usize, lost: usize) -> f64 {
     let differing = gained + lost;
-    // The logarithm of each count's probability under a fair coin, from the one before it. The
-    // probability itself would be too small for an f64 where more than 1074 pairs differ.
+    // The loop computes the logarithm of each count's probability under a fair coin from the one of
+    // the count before. The probability itself would be too small for an f64 where more than 1074
+    // pairs differ.
     let mut log_probability = -std::f64::consts::LN_2 * differing as f64;
     let mut tail = 0.0;
     for count in 0..=gained.min(lost) {
@@ -140,8 +141,8 @@ fn mcnemar(gained: usize, lost: usize) -> f64 {
 }
 
 /// The two-sided p-value of the mean of paired differences under random signs; 1 if there are no
-/// differences or all are 0. It is exact unless there are more than [`PERMUTATIONS`] assignments of
-/// signs, from which it is then estimated.
+/// differences or all are 0. It is exact, or estimated from [`PERMUTATIONS`] random assignments of
+/// signs where there are more assignments than that.
 fn sign_permutation(differences: &[f64]) -> f64 {
     let observed = differences.iter().sum::<f64>().abs();
     let largest: f64 = differences.iter().map(|it| it.abs()).sum();

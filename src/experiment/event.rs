@@ -63,7 +63,8 @@ pub enum ExperimentEvent<'a> {
     NotScored {
         /// Number of these budgets.
         budgets: usize,
-        /// Time of the score beside them, as in [`Self::Ran`].
+        /// Time of the score at the nearest budget that has one, as in [`Self::Ran`];
+        /// [`Made::Earlier`] without any.
         made: Made,
     },
     /// A repetition of a method has ended.

@@ -1,5 +1,4 @@
-/// Whether a result was made by this process. A result of several parts has the maximum of its
-/// parts.
+/// Whether this process made a result. A result of several parts is [`Self::Now`] if any part is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Made {
     /// Before this process began: the result was on disk.

@@ -2,8 +2,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::session::{EmulatedQubeSettings, SeedFor, derived_seed};
 
-/// A plant on which policies run: an emulated Qube, or a stand-in for the real one. With `vary`
-/// above 0, each policy has an emulated Qube of its own, drawn around this one.
+/// A plant on which policies run: an emulated Qube, or an entry that only names the real one. With
+/// `vary` above 0, each policy has an emulated Qube of its own, drawn around this one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plant {
@@ -11,9 +11,10 @@ pub struct Plant {
     pub name: String,
     /// Settings of the emulated Qube; without effect where the Qube is real.
     pub emulated: EmulatedQubeSettings,
-    /// Relative half width of the draw of each policy's Qube, 0 to 0.5: every parameter, the
-    /// friction, both dead zones, the cable's stiffness and the delay are uniform between
-    /// `1 - vary` and `1 + vary` times their values. With 0 all policies have the same Qube.
+    /// Relative half width of the draw of each policy's Qube, 0 to 0.2, in experiments of earlier
+    /// versions up to 0.5: every parameter, the friction, both dead zones, the cable's stiffness
+    /// and the delay are uniform between `1 - vary` and `1 + vary` times their values. With 0 all
+    /// policies have the same Qube.
     #[serde(default)]
     pub vary: f64,
 }

@@ -26,8 +26,8 @@ pub struct Recipe {
     pub settings: SessionSettings,
 }
 
-/// A recipe as a file contains it, without the settings: the base of the recipe gives those that
-/// the file does not name.
+/// A recipe as a file contains it. `settings` has only the settings that the file names; the base
+/// of the recipe gives the others.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RecipeFile {

@@ -60,8 +60,8 @@ impl PolicySeries<'_> {
     ) -> Result<Option<f64>, ExperimentError> {
         let paths = self.folders.policy(policy);
         let path = paths.policy();
-        // A policy that is missing or damaged is trained again, with the same seed. What another
-        // version wrote, or a failing disk does not show, stays.
+        // A policy that is missing or damaged is trained again, with the same seed. A file that
+        // another version wrote, or that the disk fails to read, is not replaced.
         match Policy::load(&path) {
             Ok(_) => return Ok(None),
             Err(PolicyError::Unreadable { source, .. }) if source.kind() == ErrorKind::NotFound => {

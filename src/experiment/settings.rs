@@ -34,9 +34,10 @@ pub struct ExperimentSettings {
     pub plants: Vec<Plant>,
     /// Recipes that are compared.
     pub recipes: Vec<Recipe>,
-    /// Methods that are compared instead of recipes. They start from one recipe on an emulated
-    /// plant, at fixed budgets on one or more. Up to `policies` policies with `rollouts` rollouts
-    /// each score a recommendation; at fixed budgets it is one policy with `rollouts` rollouts.
+    /// Methods that are compared instead of recipes. They start from one recipe and run on one
+    /// emulated plant, or at fixed budgets on one or more. Up to `policies` policies with
+    /// `rollouts` rollouts each score a recommendation; at fixed budgets it is one policy with
+    /// `rollouts` rollouts.
     #[serde(default, rename = "strategies", skip_serializing_if = "Option::is_none")]
     pub methods: Option<MethodSettings>,
 }
@@ -164,7 +165,7 @@ impl ExperimentSettings {
 
     /// Checks the settings of an experiment that begins. Its folder may be copied to a file system
     /// that takes `Lab` and `lab` for the same name, so names that differ in case only are refused;
-    /// experiments that have such names can be resumed and shown. So can those with a method that
+    /// experiments that have such names can be resumed and shown. The same holds for a method that
     /// no budget allows a recommendation.
     ///
     /// # Errors

@@ -31,9 +31,10 @@ const LARGEST_GROWTH: f64 = 2.0;
 /// which a model does not fit, rad.
 const UNFIT_RAD: f64 = 0.03;
 
-/// Largest noise ratio of held-out recordings, as a multiple of that of the fitted ones and of 1,
-/// with which the model still describes them. The errors of a fit to one recording show in others:
-/// after slow steps alone the ratio of a rollout of the same Qube reached 2.9.
+/// Largest noise ratio of held-out recordings with which the model still describes them, as a
+/// multiple of the fitted recordings' ratio or of 1, whichever is larger. The errors of a fit to
+/// one recording show in others: after slow steps alone the ratio of a rollout of the same Qube
+/// reached 2.9.
 const LARGEST_HELD_OUT_RATIO: f64 = 4.0;
 
 /// Largest factor by which held-out recordings contradict the estimates more than noise and
@@ -214,8 +215,8 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> (Assessment, [No
 }
 
 impl Assessment {
-    /// Doubts the model if it predicts held-out recordings badly: `noise_ratio`, theirs, is much
-    /// larger than that of the fitted ones, or they contradict the estimates by more than noise and
+    /// Doubts the model if it predicts held-out recordings badly: their `noise_ratio` is much
+    /// larger than the fitted recordings', or they contradict the estimates by more than noise and
     /// standard errors predict, by the factor `contradiction` (a posterior predictive check).
     pub(super) fn compare(&mut self, noise_ratio: f64, contradiction: f64) {
         if noise_ratio > LARGEST_HELD_OUT_RATIO * self.noise_ratio.max(1.0) {

@@ -55,7 +55,8 @@ impl Effect {
     }
 
     /// The disturbances of a recording's voltages that act like the effect, in units of
-    /// [`DISTURBANCE_V`], one list for each column; empty for an effect on the encoder.
+    /// [`DISTURBANCE_V`]: one list for each column of the effect, except for columns that describe
+    /// an error of the encoder, which have none.
     fn disturbances(self, samples: &[MotionSample], model: &QubeModel) -> Vec<Vec<f64>> {
         let delay_s = model.nonidealities.command_delay_s;
         match self {
@@ -147,7 +148,7 @@ pub(super) fn scores(fit: &Fit<'_>) -> Vec<(Effect, f64)> {
         let recording = fit.recording[index];
         let disturbed = disturbed[recording].get_or_insert_with(|| {
             let pairs = fit.stretches.iter().zip(&simulated);
-            let own = pairs.filter(|(other, _)| other.is_beside(stretch));
+            let own = pairs.filter(|(other, _)| other.is_of_same_recording(stretch));
             let model = fit.offsets[recording].applied(&fit.model);
             Disturbed::of(&with_simulated_states(stretch.recording, own), &model)
         });
@@ -239,8 +240,8 @@ fn with_simulated_states<'a>(
 /// A recording under the effects.
 #[derive(Clone)]
 struct Disturbed {
-    /// Copies of the recording with disturbed voltages, one for each column of each effect on the
-    /// motor.
+    /// Copies of the recording with disturbed voltages, one for each list of
+    /// [`Effect::disturbances`].
     copies: Vec<Vec<MotionSample>>,
     /// The result of [`pushes_v`]: its sign is the side of the play on which the motor is.
     pushes_v: Vec<f64>,

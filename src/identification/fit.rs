@@ -96,7 +96,7 @@ impl<'a> Fit<'a> {
         let mut next = Fit::new(unknowns, self.plant, self.model, stretches);
         next.noise = self.noise;
         for (stretch, &recording) in next.stretches.iter().zip(&next.recording) {
-            let own = self.stretches.iter().position(|own| own.is_beside(stretch));
+            let own = self.stretches.iter().position(|own| own.is_of_same_recording(stretch));
             if let Some(own) = own {
                 next.offsets[recording] = self.offsets[self.recording[own]];
             }

@@ -76,7 +76,7 @@ pub enum Unfit {
     },
     /// Time does not go on from one sample to the next.
     #[error("its sample {sample} is not later than the one before")]
-    TimeStands {
+    TimeDoesNotAdvance {
         /// Number of the sample, from 0.
         sample: usize,
     },
@@ -268,7 +268,7 @@ fn check_numbers(samples: &[MotionSample]) -> Result<(), Unfit> {
         return Err(Unfit::NotFinite { sample });
     }
     match samples.windows(2).position(|pair| pair[1].time_s <= pair[0].time_s) {
-        Some(before) => Err(Unfit::TimeStands { sample: before + 1 }),
+        Some(before) => Err(Unfit::TimeDoesNotAdvance { sample: before + 1 }),
         None => Ok(()),
     }
 }

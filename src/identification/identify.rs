@@ -19,9 +19,9 @@ use crate::replay::MotionLog;
 /// predicts an upright pendulum for long. [`UPRIGHT_FIRST_S`] comes before the first stage.
 const STAGES_S: [f64; 3] = [0.5, 2.0, f64::INFINITY];
 
-/// Largest length of all windows of the fit before the first stage, s, which is made where a
-/// pendulum comes upright. There a fit over the windows of the first stage may end in a wrong model
-/// if it begins at the name plate's.
+/// Largest length of all windows of the fit before the first stage, s. This fit is made only if a
+/// pendulum comes upright: then a fit over the windows of the first stage may end in a wrong model
+/// if it begins at the name plate's values.
 const UPRIGHT_FIRST_S: f64 = 0.15;
 
 /// Residual (root mean square) over the windows of the first stage beyond which the fit explains
@@ -214,8 +214,8 @@ impl Identified {
         }
     }
 
-    /// The Qube with the mean rest angle that the cable has in some of the fitted recordings, by
-    /// index. Without any recording it is the typical Qube.
+    /// The Qube with the cable's mean rest angle in the fitted recordings that have these indices;
+    /// without an index, the typical Qube.
     #[must_use]
     pub fn model_of(&self, recordings: &[usize]) -> QubeModel {
         let own = recordings.iter().filter_map(|&index| self.offsets.get(index));
@@ -226,11 +226,12 @@ impl Identified {
         model
     }
 
-    /// Compares the model with recordings of the same plant to which it was not fitted. Doubts it
-    /// if it explains them much worse or if they contradict its estimates
-    /// ([`MissingEffect`](super::MissingEffect)), and widens the standard errors by the factor by
-    /// which they contradict the fit more than noise and standard errors predict. Returns their
-    /// [`Assessment::noise_ratio`]; `None` without such recordings.
+    /// Compares the model with held-out recordings: recordings of the same plant to which it was
+    /// not fitted. Doubts the model if it explains them much worse than the fitted ones, or if they
+    /// contradict its estimates ([`MissingEffect`](super::MissingEffect)). Widens the standard
+    /// errors by the factor by which the held-out recordings contradict the fit more than noise and
+    /// standard errors predict. Returns the [`Assessment::noise_ratio`] of the held-out recordings;
+    /// `None` without any.
     pub fn hold_out(&mut self, logs: &[MotionLog]) -> Option<f64> {
         let plant = &logs.first()?.plant;
         let unknowns: Vec<Unknown> = self.estimates.iter().map(|it| it.unknown).collect();

@@ -29,8 +29,8 @@ pub struct ExpectedExcitation {
     /// Largest voltage, V.
     pub voltage_v: f64,
     /// Expected decrease of the entropy of all unknowns together, in nats: each nat makes the
-    /// volume of what is possible e times smaller. It is computed for small errors and a model that
-    /// is right.
+    /// volume of the possible errors e (2.7) times smaller. It is computed for small errors and a
+    /// model that is right.
     pub information_nats: f64,
 }
 
@@ -252,7 +252,7 @@ mod tests {
         stuck.nonidealities.negative_dead_zone_v = 2.0;
         let stuck = Profile::exact("stuck", &stuck);
         assert_eq!(next_excitations(&stuck, &PlantModel::QUBE, 1.5), []);
-        // Without any resistance to motion five volts carry the arm away.
+        // Under voltages of up to 5 V, more excitations move the arm too far.
         assert!(next_excitations(&lab, &PlantModel::QUBE, 5.0).len() < all.len());
     }
 }

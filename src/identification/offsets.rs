@@ -93,7 +93,8 @@ pub(super) fn recordings(stretches: &[Stretch<'_>]) -> Vec<usize> {
     let mut indices = Vec::with_capacity(stretches.len());
     let mut next = 0;
     for (index, stretch) in stretches.iter().enumerate() {
-        let same = stretches[..index].iter().rposition(|before| before.is_beside(stretch));
+        let same =
+            stretches[..index].iter().rposition(|before| before.is_of_same_recording(stretch));
         indices.push(same.map_or(next, |before| indices[before]));
         next = next.max(indices[index] + 1);
     }

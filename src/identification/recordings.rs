@@ -209,7 +209,7 @@ pub fn read_fittable(
     Ok(fittable)
 }
 
-/// Largest difference of an angle by which the writing of a table changes it, rad.
+/// Largest difference of an angle between a recording and a table that was exported from it, rad.
 const ANGLE_WITHIN_RAD: f64 = 1e-4;
 
 /// Largest difference of a voltage between a recording and a table that was exported from it, V: a

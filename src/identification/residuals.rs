@@ -126,8 +126,8 @@ pub(super) fn updated_noise(
     noise
 }
 
-/// Number of rounds in which [`noise_from_residuals`] estimates scales and the weights that depend on them
-/// in turn.
+/// Number of rounds in which [`noise_from_residuals`] estimates scales and the weights that depend
+/// on them in turn.
 const ROUNDS: usize = 4;
 
 /// Estimates scale and correlation of each regime from these residuals alone. A regime without
@@ -167,9 +167,9 @@ pub(super) fn scale_of(residuals: &[Vec<Residual>]) -> ResidualScale {
 /// Integrated autocorrelation time in samples: 1 + 2 (r1 + r2 + ...) up to the first r that is not
 /// above 0, averaged over both angles and all stretches.
 ///
-/// The angles share it although the arm's residuals of a real Qube change more slowly than the
-/// pendulum's. With a time of each angle a fit gives up the angle that the model describes worse:
-/// its residuals grow, are correlated for longer, and so count for less.
+/// The two angles share one time, although the arm's residuals of a real Qube change more slowly
+/// than the pendulum's. With a separate time for each angle, a fit gives up the angle that the
+/// model describes worse: its residuals grow, are correlated for longer, and so count for less.
 fn autocorrelation_samples(residuals: &[&Vec<Residual>]) -> f64 {
     let of_angle = |angle: usize| {
         let (mut total, mut weight) = (0.0, 0.0);

@@ -109,11 +109,11 @@ impl<'a> Stretch<'a> {
 
     /// Whether both stretches are the same samples of the same recording.
     pub fn is_same_as(&self, other: &Self) -> bool {
-        self.is_beside(other) && self.range() == other.range()
+        self.is_of_same_recording(other) && self.range() == other.range()
     }
 
     /// Whether both stretches are parts of the same recording.
-    pub fn is_beside(&self, other: &Self) -> bool {
+    pub fn is_of_same_recording(&self, other: &Self) -> bool {
         std::ptr::eq(self.recording, other.recording)
     }
 

@@ -204,7 +204,7 @@ fn recordings_that_say_nothing_or_something_wrong_are_named() {
     });
     assert_eq!(broken, Unfit::NotFinite { sample: 7 });
     let stands = changed(&|index, sample| sample.time_s -= if index > 8 { 0.01 } else { 0.0 });
-    assert_eq!(stands, Unfit::TimeStands { sample: 9 });
+    assert_eq!(stands, Unfit::TimeDoesNotAdvance { sample: 9 });
     let nothing = identify(std::slice::from_ref(&good), &[], &QubeModel::NOMINAL);
     assert!(matches!(nothing, Err(IdentifyError::NoUnknowns)));
     let known = Unknown(DomainParameter::Gravity.into());

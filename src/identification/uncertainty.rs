@@ -104,9 +104,10 @@ impl Evidence {
     /// than the noise and the standard errors predict.
     ///
     /// `held_out` has the unknowns and the model of the fit, and the noise of its short windows. If
-    /// all are right, its gradient g has the covariance H + H C H, where H is the information of
-    /// `held_out` and C the covariance of the estimates. The factor is the root mean square of g in
-    /// these units, over the directions that `held_out` determines.
+    /// model and noise are right, the gradient g of `held_out` has the covariance H + H C H, where
+    /// H is the information of `held_out` and C the covariance of the estimates. The factor is the
+    /// root mean square of g in units of this covariance, over the directions that `held_out`
+    /// determines.
     pub fn contradiction(&self, held_out: &Fit<'_>) -> f64 {
         let groups = by_recording(held_out, &held_out.reduced(), self.inflation);
         let (information, gradient) = total(held_out.unknowns, held_out.plant, &groups);

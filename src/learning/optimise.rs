@@ -61,7 +61,8 @@ pub(super) struct PolicyProgress {
 }
 
 /// The order of transitions in the minibatches of one update: one permutation of their indices for
-/// each epoch, drawn when the epoch begins, because those of all epochs may need gigabytes.
+/// each epoch. It is drawn when the epoch begins, because the permutations of all epochs together
+/// may need gigabytes.
 ///
 /// The iterator yields the indices of each minibatch. A minibatch may begin in one epoch and end in
 /// the next; the last indices are left out if they do not fill a minibatch.

@@ -34,7 +34,8 @@ impl<'a> StagedTraining<'a> {
     ///
     /// # Errors
     /// The distribution is out of range; `stop` was set; or the first update of the training
-    /// diverged. A later update that diverges ends the stage with what is learnt until then.
+    /// diverged. A later update that diverges ends the stage with what is learnt until then, and
+    /// the next stage goes on from there.
     pub fn train_stage(
         &mut self,
         distribution: DomainDistribution,

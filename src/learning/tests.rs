@@ -242,6 +242,21 @@ fn a_training_that_diverges_keeps_what_it_has_learnt_until_then() {
 }
 
 #[test]
+fn an_update_that_diverges_leaves_the_whole_learner_as_it_was() {
+    let distribution = DomainDistribution::nominal();
+    let settings = TrainSettings { last_learning_rate: 1e30, ..small() };
+    let stop = AtomicBool::new(false);
+    let mut training = state::TrainingState::new(&distribution, &settings, None, 3);
+    training.update(&stop).unwrap().unwrap();
+    let learners = |training: &state::TrainingState<'_>| {
+        [&training.policy, &training.value].map(|it| (it.network.clone(), it.moments.clone()))
+    };
+    let before = learners(&training);
+    assert!(training.update(&stop).unwrap().is_none());
+    assert_eq!(learners(&training), before);
+}
+
+#[test]
 fn plants_and_distributions_that_cannot_be_simulated_are_refused() {
     let mut plant = PlantModel::QUBE;
     plant.parameters.rotary_mass_kg = f64::NAN;

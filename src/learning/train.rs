@@ -6,7 +6,7 @@ use super::collect::{Batch, Collector};
 use super::curve::TrainUpdate;
 use super::export::{exported, imported};
 use super::network::LOG_STD;
-use super::optimise::optimise;
+use super::optimise::{Learner, optimise};
 use super::smoothness::SmoothnessFactor;
 use super::state::TrainingState;
 use super::trained::Trained;
@@ -114,10 +114,11 @@ pub(super) struct Scored {
 
 impl TrainingState<'_> {
     /// Performs one update of Algorithm 1 (Eilers 2019): collect, optimise, evaluate. Returns
-    /// `None` if the update diverged: the policy is then that of the update before, and the
-    /// training ends.
+    /// `None` if the update diverged: both networks and their moments are then as before it, and
+    /// the training or its stage ends.
     pub fn update(&mut self, stop: &AtomicBool) -> Result<Option<&TrainUpdate>, TrainError> {
-        let before = self.policy.network.clone();
+        let of = |learner: &Learner| (learner.network.clone(), learner.moments.clone());
+        let before = [of(&self.policy), of(&self.value)];
         let update = self.curve.len() as u32;
         let batch = self.collector().collect(self.settings.threads);
         let share = self.settings.worst_share_at(update);
@@ -138,7 +139,9 @@ impl TrainingState<'_> {
             if update == 0 {
                 return Err(TrainError::Diverged);
             }
-            self.policy.network = before;
+            for (learner, before) in [&mut self.policy, &mut self.value].into_iter().zip(before) {
+                (learner.network, learner.moments) = before;
+            }
             return Ok(None);
         }
         let Scored { evaluation, score } = self.evaluate();
@@ -217,8 +220,8 @@ impl TrainingState<'_> {
         NetworkActor::with_physics(&self.policy.network, physics_inputs)
     }
 
-    /// Goes on in another distribution. The best network is from now on the best in this one,
-    /// beginning with the policy as it is.
+    /// Continues the training in another distribution. The present policy becomes the best network,
+    /// until an update finds a better one in the new distribution.
     pub fn begin_stage(&mut self, distribution: DomainDistribution) {
         self.distribution = distribution;
         self.take_as_best();

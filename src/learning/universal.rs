@@ -27,8 +27,8 @@ pub struct UniversalPolicy {
 /// `distribution`: policy and value network are given the physics inputs of the simulated Qube.
 ///
 /// # Errors
-/// A setting or the number of physics inputs is out of range; `stop` was set; or the weights are
-/// not finite.
+/// A setting, the distribution or the number of physics inputs is out of range; `stop` was set; or
+/// the first update diverged.
 pub fn train_universal(
     distribution: &DomainDistribution,
     settings: &TrainSettings,

@@ -71,7 +71,7 @@ impl<'a> Workbench<'a> {
     /// Performs one complete update.
     ///
     /// # Errors
-    /// None: only a stop ends an update early, and nothing requests one here.
+    /// The first update diverged.
     pub fn update(&mut self) -> Result<(), TrainError> {
         self.training.update(&AtomicBool::new(false)).map(|_| ())
     }

@@ -8,7 +8,7 @@ use super::request::Request;
 /// of its own (DNS rebinding). A browser sends the name under which it connects in the header
 /// `Host`, and the site of the page that connects in `Origin`, so both are checked. For the images
 /// and links of a page it sends no `Origin`, but says in `Sec-Fetch-Site` whether the page is of
-/// another site. Programs that are no browser send neither.
+/// another site. Programs that are no browser send neither `Origin` nor `Sec-Fetch-Site`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Admission {
     /// Name of this computer.

@@ -99,7 +99,7 @@ pub enum Policy {
     Network(NetworkPolicy),
     /// The classical controller.
     Classical(ClassicalController),
-    /// A voltage over time, without feedback from the pendulum.
+    /// A prepared voltage over time, for identification.
     Excitation(Excitation),
     /// A controller outside of this program, which only a replay can run again.
     External(External),
@@ -123,8 +123,8 @@ pub trait Controller: Send {
 
     /// Receives the voltage that acted at the motor during one control period, V: the last
     /// requested voltage after guard and limits. While the controller drives, the tick calls this
-    /// method once for each period, also for a period without a sample; of periods that the loop
-    /// skipped in a row, for at most [`crate::qube::MAX_HISTORY`].
+    /// method once for each period, also for a period without a sample. If the loop skips several
+    /// periods in a row, the tick calls it for at most [`crate::qube::MAX_HISTORY`] of them.
     fn applied(&mut self, _voltage_v: f64) {}
 
     /// Returns the voltage for a state, V. Implementations must not allocate, because the control

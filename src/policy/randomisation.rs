@@ -61,8 +61,8 @@ impl Randomisation {
             .chain(of_specimens.map(within("an entry of randomisation.specimens")))
     }
 
-    /// The number of random quantities, and those that vary most beside their mean, in one line. A
-    /// deviation includes the joint deviations.
+    /// The number of random quantities, and those that vary most in proportion to their mean, in
+    /// one line. A deviation includes the joint deviations.
     #[must_use]
     pub fn summary(&self) -> String {
         let mut random: Vec<(Quantity, f64, f64)> = Vec::new();

@@ -68,8 +68,8 @@ impl Encoder {
         f64::from(self.counts_per_revolution) / f64::from(COUNTS_PER_REVOLUTION)
     }
 
-    /// The smallest number of counts of this encoder that covers the angle of so many counts of a
-    /// Qube's encoder.
+    /// The smallest number of counts of this encoder that covers the angle of `qube_counts` counts
+    /// of a Qube's encoder.
     #[must_use]
     pub fn covering_qube_counts(self, qube_counts: f64) -> i32 {
         (qube_counts * self.counts_per_qube_count()).ceil() as i32

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measurement {
     /// Time at which the encoders were read, by the device's clock, microseconds since its start. A
-    /// USB panel has no clock: with it, the time of the request by the computer's clock.
+    /// USB panel has no clock; its samples have the time of the request by the computer's clock.
     pub device_time_us: u64,
     /// Count of the arm's encoder; signs and zero are not applied.
     pub theta_counts: i32,

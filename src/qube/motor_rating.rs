@@ -17,11 +17,11 @@ impl MotorRating {
     /// The QUBE-Servo 2's motor, an Allied Motion CL40: nominal 18 V, 0.54 A, 8.4 ohm (user
     /// manual).
     ///
-    /// No source that we could check publishes its thermal time constant. For comparison, the motor
-    /// of the PR2's casters has 41.6 s for the winding and 1120 s for the housing, which accounts
-    /// for 70 % of the temperature rise (`ethercat_hardware`, from maxon's data sheet). A smaller
-    /// winding is faster, but the housing dominates, so 30 s for the whole motor is a conservative
-    /// assumption, not a measurement.
+    /// No source that we could check publishes its thermal time constant. For comparison, the
+    /// caster motor of the robot PR2 has 41.6 s for the winding and 1120 s for the housing, which
+    /// accounts for 70 % of the temperature rise (`ethercat_hardware`, from maxon's data sheet). A
+    /// smaller winding is faster, but the housing dominates, so 30 s for the whole motor is a
+    /// conservative assumption, not a measurement.
     pub const NOMINAL: Self = Self { continuous_a: 0.54, time_constant_s: 30.0 };
 
     /// Continuous currents, A, that a file may give: those of motors of table-top size.

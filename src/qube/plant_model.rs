@@ -198,8 +198,8 @@ impl PlantModel {
     }
 
     /// The current of this plant's motor at rest for each ampere of a Qube's motor, at the same
-    /// voltage, at most 1. Least currents that were chosen for a Qube are multiplied by this
-    /// number; a motor of lower resistance draws more than they demand.
+    /// voltage, at most 1. Current thresholds that were chosen for a Qube are multiplied by this
+    /// number. They need not grow for a motor of lower resistance, which draws more current.
     #[must_use]
     pub fn current_per_qube_current(&self) -> f64 {
         let nominal_ohm = DomainParameters::NOMINAL.motor_resistance_ohm;

@@ -146,9 +146,9 @@ impl Profile {
         Self::parse(include_str!("../../profiles/lab.toml")).expect("the profile of the program")
     }
 
-    /// The profile of another specimen of the plant, known as well as this one: its standard errors
-    /// are as large relative to its parameters, and as large for its nonidealities, with the same
-    /// correlations.
+    /// The profile of another specimen of the plant, known as well as this one. Its parameters have
+    /// standard errors that are the same fractions of the values as here, its nonidealities have
+    /// the same standard errors, and the correlations are the same.
     #[must_use]
     pub fn around(&self, name: &str, model: &QubeModel) -> Self {
         let mut other = Self { plant: self.plant, ..Self::exact(name, model) };

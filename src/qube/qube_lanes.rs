@@ -95,7 +95,7 @@ impl QubeLanes {
     }
 
     /// Whether no lane has a Qube with friction, dead zone, cable or delay, so that
-    /// [`Self::advance_ideal`] may integrate them.
+    /// [`Self::advance_ideal`] may integrate the block.
     #[must_use]
     #[inline(always)]
     pub fn are_ideal(&self) -> bool {

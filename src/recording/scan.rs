@@ -26,7 +26,7 @@ const MAX_METADATA_BYTES: usize = 1 << 20;
 /// reads.
 const MAX_ATTACHMENT_BYTES: usize = 1 << 24;
 
-/// Largest number of places at which the next record is searched in a file. Without a limit the
+/// Largest number of searches for the next record after a defect of a file. Without a limit the
 /// time for a hostile file would grow with the square of its size.
 const MAX_SEARCHES: u32 = 100;
 

@@ -85,7 +85,8 @@ impl RolloutWriter<Box<dyn DiskFile>> {
 }
 
 impl<W: Sink> RolloutWriter<W> {
-    /// Writes like [`create`](RolloutWriter::create) into any sink; `path` only appears in errors.
+    /// Begins a recording like [`create`](RolloutWriter::create), but in any sink; `path` only
+    /// appears in errors.
     ///
     /// # Errors
     /// The sink fails, or the header holds a number that is not finite.

@@ -103,11 +103,11 @@ pub enum CsvError {
 /// Reads the samples of a table with a header line. The voltage of the last row may be empty,
 /// because no motion follows it; it is then 0 V. Times count from the first sample.
 ///
-/// Of a table of ticks, which has the column `phase`, the rows are used that a recording gives:
-/// those with a sample, which the columns of [`APPLIED`] tell, while the policy has the motor, with
-/// the voltage as the motor driver applies it. Where the table has the board's report too, the
-/// angles are those of the encoders and the times those of the device's clock, as in the motion of
-/// a recording.
+/// A table with the column `phase` is a table of ticks. As of a recording, only the ticks under the
+/// policy that have a sample are used ([`APPLIED`] lists the columns that show whether a tick has
+/// one), with the voltage as the motor driver applies it. Where the table also has the board's
+/// report, angles come from the encoders and times from the device's clock, as in the motion of a
+/// recording.
 pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     // Some programs put a byte-order mark before the text.
     let text = text.trim_start_matches('\u{feff}');
@@ -261,7 +261,7 @@ impl<'a> Row<'a> {
     }
 }
 
-/// A kind of column with a voltage of a table of ticks.
+/// A kind of column that holds a voltage.
 #[derive(Clone, Copy)]
 struct VoltageColumn {
     name: &'static str,
@@ -270,8 +270,8 @@ struct VoltageColumn {
     unit: &'static str,
 }
 
-/// The columns that tell whether a tick has a sample: that of `qube-hil export`, and that of
-/// recordings in Python.
+/// The columns that tell whether a tick has a sample: first the column of `qube-hil export`, then
+/// the column of recordings in Python.
 const APPLIED: [VoltageColumn; 2] = [
     VoltageColumn { name: column::APPLIED_MV, largest: 32_767.0, unit: "mV" },
     VoltageColumn { name: column::APPLIED_V, ..COMMANDED },
@@ -315,7 +315,7 @@ struct TickColumns {
 }
 
 impl TickColumns {
-    /// The columns in this header; `None` if it is not that of a table of ticks.
+    /// The columns in this header; `None` if it is not the header of a table of ticks.
     fn of(header: &Header<'_>) -> Option<Self> {
         let phase = header.column(column::PHASE)?;
         let applied = APPLIED.into_iter().find_map(|it| Some((header.column(it.name)?, it)));
@@ -340,8 +340,8 @@ struct ReportColumns {
     time_unit_us: f64,
 }
 
-/// The columns with the device's time, and microseconds in one of its units: that of `qube-hil
-/// export`, and that of recordings in Python.
+/// The columns with the device's time, each with the microseconds in its unit: first the column of
+/// `qube-hil export`, then the column of recordings in Python.
 const DEVICE_TIMES: [(&str, f64); 2] =
     [(column::DEVICE_TIME_US, 1.0), (column::DEVICE_TIME_S, 1e6)];
 

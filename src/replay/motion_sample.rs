@@ -9,8 +9,7 @@ pub(super) const MAX_INTERRUPTION_S: f64 = 1.0;
 /// One sample of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSample {
-    /// Time by the log's own clock, s. The first sample of a recording is at 0; a CSV file may
-    /// begin at any time.
+    /// Time by the log's own clock, s. In a log that was read from a file the first sample is at 0.
     pub time_s: f64,
     /// Angles, rad, and velocities, rad/s, as the log gives them.
     pub state: State,

@@ -7,14 +7,15 @@ use super::{MotionLog, MotionSample};
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, NonidealDynamics, QubeModel, State, runge_kutta_4};
 
-/// Longest integration step, s: a third of a simulation's. With a simulation's step the error of
-/// the friction near standstill would exceed the standard errors of dead zones and delay that slow
-/// motions give.
+/// Longest integration step, s: a third of a simulation's step. With the longer step, the
+/// integration error of the friction near standstill would exceed the standard errors with which a
+/// fit of slow motions determines dead zones and delay.
 const LONGEST_STEP_S: f64 = CONTROL_PERIOD_S / 9.0;
 
-/// The longest integration step for a model, s: `lab`'s step, halved until it suits the arm's
-/// friction ([`NonidealDynamics::accurate_step_s`]), at most four times. The step changes by
-/// factors of 2 only, so that it stays the same over most steps of a fit.
+/// The longest integration step for a model, s: the step of the profile `lab`, a ninth of a control
+/// period, halved at most four times until it suits the arm's friction
+/// ([`NonidealDynamics::accurate_step_s`]). The step changes by factors of 2 only, so that it stays
+/// the same over most steps of a fit.
 #[must_use]
 pub fn longest_step_s(model: &QubeModel) -> f64 {
     let accurate_s = NonidealDynamics::<f64>::new(model).accurate_step_s();

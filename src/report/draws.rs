@@ -7,7 +7,7 @@ use crate::qube::Quantity;
 use crate::simulation::{DomainDistribution, range_of_draws};
 
 /// Largest standard deviation, in a quantity's SI unit, of a quantity that counts as constant;
-/// nobody knows one that precisely. Tables show numbers below it as 0.
+/// nobody knows a quantity that precisely. Tables show smaller numbers as 0.
 pub const NEGLIGIBLE: f64 = 1e-12;
 
 /// Number of Qubes that are drawn. The mean of a quantity then errs by a three-hundredth of its

@@ -18,7 +18,8 @@ const PLOTS_STYLE: &str = include_str!("assets/uPlot.min.css");
 const SCRIPT: &str = include_str!("assets/report.js");
 const STYLE: &str = include_str!("assets/report.css");
 
-/// The beginning of every report, before the hashes of its scripts, by which a report is known.
+/// The beginning of every report, up to the hashes of its scripts; [`is_report`] recognises a
+/// report by it.
 const BEGINNING: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
     <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src ";
 

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 use crate::storage::{Disk, MachineDisk, is_absence, write_whole};
 use crate::telemetry::Fault;
 
-/// A reason why a Qube may not be driven unasked: a sensor or its motor is in doubt, or somebody
-/// has stopped it or switched it off. It lasts until an operator has acknowledged it and an
-/// examination has passed.
+/// A reason why a Qube may not be driven unasked: a sensor or the motor is in doubt, or somebody
+/// has used the emergency stop or switched the Qube off. The doubt lasts until an operator has
+/// acknowledged it and an examination has passed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Doubt {
     /// Fault that caused the doubt; `None` where its record cannot be read.

@@ -119,7 +119,7 @@ pub enum RigError {
         found: String,
     },
     /// The arm's count may have begun anew or jumped, so the arm's middle, which a hand had shown,
-    /// is lost. No stop that homing would touch could show the error.
+    /// is lost. Homing by hand touches no stop, so it would not notice the error.
     #[error(
         "{fault}: the arm's middle, which a hand has shown, is lost. The motor is off. Put the arm into the \
          middle and start again"

@@ -23,8 +23,8 @@ impl MotorMemory {
             Some(ClosedRig { load, closed_ns });
     }
 
-    /// The motor's heat at this time: `cold` with the load that remains from the last closed rig, or
-    /// `cold` itself if no rig was closed before.
+    /// The motor's heat at this time: `cold` with the load that remains from the last closed rig,
+    /// or `cold` itself if no rig was closed before.
     pub(super) fn warm(&self, cold: MotorHeat, now_ns: Nanoseconds) -> MotorHeat {
         let closed = *self.0.lock().unwrap_or_else(PoisonError::into_inner);
         closed.map_or(cold, |ClosedRig { load, closed_ns }| {

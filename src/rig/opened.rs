@@ -298,8 +298,8 @@ impl Rig {
         }
     }
 
-    /// Performs all checks of the examination except homing, and latches the fault of a push as
-    /// that of any motion.
+    /// Performs all checks of the examination except homing, and latches the fault of a push like
+    /// the fault of any motion.
     fn examine(&mut self, other_signs: OtherSigns) -> Result<Examination, RigError> {
         let settings = ExaminationSettings {
             signs: self.homing.get().signs,
@@ -322,7 +322,7 @@ impl Rig {
             self.latch(fault);
         }
         if examination.passed() {
-            // The examination goes on after a restart of the board.
+            // The board may have restarted during the examination, which does not end then.
             let identity = self.control.hello()?;
             self.accept_restart(identity)?;
         }
@@ -396,9 +396,9 @@ impl Rig {
         self.accept_restart(identity)
     }
 
-    /// Takes over the identity of the same board, which may have restarted since, or its Qube. The
-    /// counters then restart, so the count at which a hand has put the arm is void, and no stop
-    /// that homing would touch could show the error.
+    /// Takes over the identity of the same board, which may have restarted since; so may its Qube.
+    /// If one of them has, the counters have begun anew, and the count at which a hand has put the
+    /// arm is void. Homing by hand touches no stop, so it would not notice the error.
     fn accept_restart(&mut self, identity: Identity) -> Result<(), RigError> {
         let cause = if identity.boot_id != self.identity.boot_id {
             Some("the board has restarted")
@@ -523,7 +523,7 @@ impl Rig {
     /// Checks, after the last motion, that the device has confirmed that its motor is off.
     ///
     /// # Errors
-    /// It has not, whatever ended the motion: [`Fault::OffUnconfirmed`].
+    /// The device has not confirmed it, whatever ended the motion: [`Fault::OffUnconfirmed`].
     pub fn check_off(&self) -> Result<(), RigError> {
         match self.motor.get() {
             MotorState::Off => Ok(()),

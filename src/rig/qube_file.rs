@@ -165,10 +165,10 @@ impl QubeFile {
         write_whole(&MachineDisk, path, text.as_bytes()).map_err(QubeFileError::NotWritten)
     }
 
-    /// These entries for the rig with this board. If the file belongs to another board, the entries
-    /// that were measured on its rig are left out, except the limits and the motor's rating, which
-    /// can only make things safer: profile, power test, watchdog, offset and travel of the homing,
-    /// and the signs.
+    /// These entries for the rig with this board. If the file belongs to another board, only the
+    /// method of homing, the limits and the motor's rating remain; limits and rating can only make
+    /// things safer. Port, board, profile, power test, watchdog, offset and travel of the homing,
+    /// and the signs are left out.
     #[must_use]
     pub fn of_board(self, board: &str) -> Self {
         if self.board.as_deref().is_none_or(|own| own == board) {
@@ -179,7 +179,7 @@ impl QubeFile {
     }
 
     /// The result of the power test, if it was done with this file's board. In a file that names no
-    /// board it counts for none: the board may have been replaced since.
+    /// board the result does not count, because the board may have been replaced since.
     #[must_use]
     pub fn power(&self) -> Option<&PowerTest> {
         let is_own = |test: &&PowerTest| self.board.as_ref() == Some(&test.board);

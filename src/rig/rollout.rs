@@ -43,8 +43,8 @@ const LONGEST_AGE_S: f64 = 0.01;
 /// `lab` it pulls by 0.1 rad in 10 s.
 const LARGEST_CREEP_RAD: f64 = 0.35;
 
-/// Whether a count that moved between two rollouts may be wrong: more than a cable pulls the arm.
-/// No stop that homing by hand touches could show the error.
+/// Whether a count that moved between two rollouts may be wrong, because it moved farther than a
+/// cable pulls the arm. Homing by hand touches no stop, so it would not notice the error.
 fn is_no_creep(moved: Moved) -> bool {
     match moved {
         Moved::Arm(angle_rad) => angle_rad.abs() > LARGEST_CREEP_RAD,
@@ -223,7 +223,7 @@ impl Rig {
         })
     }
 
-    /// The settings of a rollout's ticks on this rig, by those of the task.
+    /// The settings of a rollout's ticks on this rig, derived from the settings of the task.
     fn tick_settings(&self, of_the_task: TickSettings) -> TickSettings {
         let safety_box = of_the_task.safety_box.inside_travel(&self.plant);
         let foresight = (of_the_task.safety_box.guard == Guard::Foresight).then(|| {

@@ -7,7 +7,7 @@ use crate::qube::START_REACH_RAD;
 /// session draws from streams of other kinds under the same seed.
 pub(crate) const START_STREAMS: u64 = 1;
 
-/// The start angle of the arm in a rollout, rad: as far from the middle as in training, and the
+/// The start angle of the arm in a rollout, rad: drawn from the same range as in training, and the
 /// same for each attempt at the rollout.
 pub(super) fn start_theta_rad(seed: u64, candidate: u32, rollout: u32) -> f64 {
     let mut random = ChaCha8Rng::seed_from_u64(seed);

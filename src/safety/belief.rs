@@ -169,8 +169,8 @@ impl Belief {
     /// arrives at the motor; only the first two particles get so little, and of one sign.
     ///
     /// If the profile has correlations, steps of two standard errors in the independent directions
-    /// of the errors take the place of the three. Besides, each number may be off by 10 % minus its
-    /// three standard errors, but by at least 5 %.
+    /// of the errors take the place of the three standard errors of each number. Besides, each
+    /// number may be off by 10 % minus its three standard errors, but by at least 5 %.
     #[must_use]
     pub fn of_profile(profile: &Profile, plant: &PlantModel) -> Self {
         let model = profile.model();

@@ -68,8 +68,8 @@ impl IdentifiedQube {
         Self { belief, tolerance: MODEL_ERROR, held_periods: 4 }
     }
 
-    /// The belief whose Qubes do not contradict the profile. None of them has a weak side: within
-    /// the motions of one that has, an arm of twice the mass goes unnoticed.
+    /// The belief whose Qubes do not contradict the profile. None of them has a weak side: a Qube
+    /// with one moves so differently that an arm of twice the mass would go unnoticed.
     #[must_use]
     pub fn tolerated(&self) -> Belief {
         Belief { weak_side: false, ..self.belief }.at_least_within(self.tolerance)

@@ -36,8 +36,8 @@ pub(crate) fn is_about_upright(state: &State) -> bool {
     from_upright_rad(state) < ABOUT_UPRIGHT_RAD
 }
 
-/// Whether the pendulum balanced in each of the last 100 steps of the policy, whose states these
-/// are.
+/// Whether the pendulum balanced in each of the last 100 steps of the policy. `states` are the
+/// states of all its steps.
 pub fn balanced_to_the_end<'a>(
     states: impl DoubleEndedIterator<Item = &'a State> + ExactSizeIterator,
 ) -> bool {

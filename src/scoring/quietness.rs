@@ -101,7 +101,7 @@ impl Quietness {
         self.losses_w += other.losses_w;
     }
 
-    /// Whether balancing can be heard as a buzz: it also heats the motor and wears its brushes.
+    /// Whether balancing is loud: it buzzes audibly, heats the motor and wears its brushes.
     #[must_use]
     pub fn is_loud(&self) -> bool {
         self.figures().is_some_and(|figures| {

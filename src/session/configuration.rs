@@ -68,7 +68,7 @@ impl SessionSettings {
         Ok((Self::of_oldest_files().with_overrides(&entries)?, retired))
     }
 
-    /// The settings that files of the oldest versions mean by entries that they do not have.
+    /// The settings under which the oldest versions ran, for the entries that their files lack.
     fn of_oldest_files() -> Self {
         let oldest = Self { preset: None, ..Self::default() }.with_guard(Guard::Box);
         let extent = Extent { verifies_incumbent: false, ..oldest.extent };

@@ -65,7 +65,7 @@ impl std::fmt::Display for SearchEnd {
 }
 
 /// The source of the estimated gain in return of one more candidate of a search around an
-/// identified Qube. The estimate is a difference of mean returns, and no expected improvement.
+/// identified Qube. The estimate is a difference of mean returns, not an expected improvement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GainSource {
     /// The surrogate of the return over psi: its largest mean minus its mean at the best evaluated
@@ -132,7 +132,7 @@ fn is_full(candidates: &[ScoredCandidate], largest: u32) -> bool {
 /// counts as loud. If every rollout of the verification succeeded too, the search continues only
 /// while the policy is loud ([`Quietness::is_loud`](crate::scoring::Quietness::is_loud)), or the
 /// estimated gain of one more candidate is at least the fraction [`WORTHWHILE_GAIN`] of the
-/// verified return. If one failed, the search continues in any case.
+/// verified return. If a verifying rollout failed, the search continues in any case.
 ///
 /// At the largest number of candidates the best one is verified, unless it is verified already,
 /// whether or not its rollouts succeeded, and the search ends.
@@ -262,7 +262,7 @@ mod tests {
             loud(scored(1, Purpose::Initial, 0.0, &[GOOD])),
             loud(scored(2, Purpose::Incumbent, 0.0, &[GOOD; 5])),
         ];
-        // It is all there is.
+        // The loud candidate is the only searched one.
         let end = Decision::EndBelow { verification: 2, smallest_gain: 5.4 };
         assert_eq!(decide(&candidates, 10), end);
         candidates.push(scored(3, Purpose::Search, 1.0, &[BAD]));
@@ -270,7 +270,8 @@ mod tests {
         candidates.push(scored(4, Purpose::Search, 2.0, &[(510.0, true)]));
         assert_eq!(decide(&candidates, 10), Decision::Verify { candidate: 4 });
         assert_eq!(ScoredCandidate::best_verified(&candidates), Some(1));
-        // It was quiet once, and buzzes or fails when it is verified: the next quiet one is tried.
+        // Candidate 4 was quiet once, and buzzes or fails when it is verified: the next quiet
+        // candidate is verified.
         for verification in [
             loud(scored(5, Purpose::Incumbent, 2.0, &[(505.0, true); 5])),
             scored(5, Purpose::Incumbent, 2.0, &[GOOD, BAD]),

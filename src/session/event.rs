@@ -101,7 +101,7 @@ pub enum SessionEvent<'a> {
         /// The rig.
         opened: &'a Rig,
     },
-    /// A rollout begins. Those of several rigs that share the session begin together.
+    /// A rollout begins. Rollouts of several rigs that share the session begin together.
     RolloutBegins {
         /// Number of the candidate.
         candidate: u32,

@@ -16,8 +16,8 @@ pub(super) struct LocatedEntries<'a> {
 }
 
 impl<'a> LocatedEntries<'a> {
-    /// The entries of the table `part` of a text, which are none if the text has no such table;
-    /// `None` means those of the whole text. `path` only appears in errors.
+    /// The entries of the table `part` of a text, none if the text has no such table; without a
+    /// `part`, the entries of the whole text. `path` only appears in errors.
     pub(super) fn of(
         text: &'a str,
         part: Option<&str>,
@@ -54,7 +54,7 @@ impl<'a> LocatedEntries<'a> {
     /// The entries as a value.
     ///
     /// # Errors
-    /// They are no such value; the error names the line.
+    /// The entries do not form such a value; the error names the line.
     pub(super) fn read<T: DeserializeOwned>(&self) -> Result<T, ConfigurationError> {
         T::deserialize(Deserializer::from(self.table.clone())).map_err(|mut error| {
             error.set_input(Some(self.text));
@@ -63,7 +63,7 @@ impl<'a> LocatedEntries<'a> {
     }
 }
 
-/// Puts the entries of one table over those of another.
+/// Enters `above` into `below`: an entry replaces an entry with the same key; tables are merged.
 pub(super) fn merge_into<'a>(below: &mut DeTable<'a>, above: DeTable<'a>) {
     for (key, value) in above {
         let (span, value) = (value.span(), value.into_inner());
@@ -79,7 +79,7 @@ pub(super) fn merge_into<'a>(below: &mut DeTable<'a>, above: DeTable<'a>) {
     }
 }
 
-/// The error of a text that is not what it should be.
+/// The error of a file that is not TOML or whose entries do not form the expected value.
 pub(super) fn invalid(path: &Path, source: toml::de::Error) -> ConfigurationError {
     ConfigurationError::Invalid { path: path.to_owned(), source: Box::new(source) }
 }

@@ -72,8 +72,8 @@ pub fn next_step(
     let missing = |purpose, wanted: u32| state.missing(purpose, wanted);
     let identifies = identifying(state, identification);
     // All initial points are proposed in one step, so that their policies can be trained at the
-    // same time on all cores. Excitations are proposed one by one: each is chosen by those before
-    // it.
+    // same time on all cores. Excitations are proposed one by one, because each is chosen by the
+    // recordings of the ones before.
     let together = match identifies {
         Some(_) => None,
         None => missing(Purpose::Initial, extent.initial_candidates),
@@ -223,8 +223,8 @@ impl SessionState {
         CandidateCounts { searched, most_searched, total }
     }
 
-    /// The step that proposes the candidates that this purpose lacks of the number `wanted`; `None`
-    /// if it lacks none.
+    /// The step that proposes candidates until there are `wanted` with this purpose; `None` if
+    /// there are as many already.
     fn missing(&self, purpose: Purpose, wanted: u32) -> Option<Step> {
         let count = wanted.saturating_sub(self.count_of(purpose));
         (count > 0).then_some(Step::Propose { count, purpose })

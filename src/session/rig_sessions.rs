@@ -12,7 +12,7 @@ use super::{
 };
 use crate::storage::{MachineDisk, is_unfinished_of, remove_unfinished, write_whole};
 
-/// The contents of `rigs.toml`, which names the device of each session in a folder:
+/// The contents of `rigs.toml`, which names the device of each session in a folder. The folder has:
 ///
 /// ```text
 /// rigs.toml          this file; written when every session has its folder and settings
@@ -73,10 +73,9 @@ impl RigSessions {
         Ok(true)
     }
 
-    /// Removes `rigs.toml` and, beside it, the settings and the ledger of every session, what
-    /// sessions that were killed at their start have left, and the folders that are then empty;
-    /// ignores errors.
-    /// The caller makes sure that no session has proposed a candidate yet.
+    /// Removes `rigs.toml` and, beside it, the settings and the ledger of every session, the
+    /// leftovers of sessions that were killed at their start, and the folders that are then empty;
+    /// ignores errors. The caller makes sure that no session has proposed a candidate yet.
     pub fn withdraw(root: &Path) {
         let _ = std::fs::remove_file(Self::path(root));
         remove_unfinished(&MachineDisk, &Self::path(root));

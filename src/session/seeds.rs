@@ -1,6 +1,6 @@
 //! Derives the random numbers of a session from the session's seed and the purpose of the draw,
-//! never from earlier draws. A resumed session therefore draws the same numbers. So does the plan
-//! of a rollout, which derives the start angle of the arm.
+//! never from earlier draws. A resumed session therefore draws the same numbers. The plan of a
+//! rollout derives the start angle of the arm in the same way.
 
 use rand::{RngExt as _, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -59,8 +59,8 @@ pub enum SeedFor {
 
 /// The number of the random stream of a purpose: its kind in the highest 8 bits, then the candidate
 /// (24 bits) and the rollout or training and the attempt (the lowest 16 bits of each). A policy, a
-/// repetition or a rig takes the candidate's place, and a plant that of the rollout. The start
-/// angles of rollouts have a kind of their own, 1 ([`crate::rig::RolloutPlan::seed`]).
+/// repetition or a rig takes the candidate's place, and a plant takes the rollout's place. The
+/// start angles of rollouts have a kind of their own, 1 ([`crate::rig::RolloutPlan::seed`]).
 fn stream(purpose: SeedFor) -> u64 {
     let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
         kind << 56

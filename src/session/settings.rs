@@ -22,8 +22,8 @@ pub struct SharedRig {
     pub device: String,
     /// Settings of the emulated Qube, used if the device is one.
     pub emulated: EmulatedQubeSettings,
-    /// How the rig was homed when the session began; `None` for the method of the session's
-    /// settings.
+    /// Method by which the rig was homed when the session began; `None` for the method of the
+    /// session's settings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homing_method: Option<HomingMethod>,
 }
@@ -54,8 +54,8 @@ pub struct SessionSettings {
     /// Numbers of candidates, rollouts and steps.
     pub extent: Extent,
     /// Settings of the identification that comes before the search, which is then around the
-    /// identified Qube; `None` if the Qube is not identified. `model` and `psi` are used only in
-    /// that case, or if the identification fails.
+    /// identified Qube; `None` if the Qube is not identified. `model` and `psi` are used only
+    /// without an identification, or if it fails.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub identification: Option<IdentificationSettings>,
     /// Estimator of the state on the Qube.
@@ -299,7 +299,7 @@ mod tests {
     }
 
     /// The checksums are those of the settings' text, and of the policy and the curve of their
-    /// first two updates. A change of them changes the reproduction of the thesis.
+    /// first two updates. If a checksum changes, the reproduction of the thesis has changed.
     #[test]
     fn the_reproduction_of_the_thesis_stays_byte_for_byte_what_it_is() {
         let settings = SessionSettings::thesis();

@@ -87,7 +87,7 @@ impl SessionSettings {
     /// Checks that a new session may begin with these settings.
     ///
     /// # Errors
-    /// The reason why not.
+    /// The first setting with which no new session may begin.
     pub(super) fn check_begun(&self) -> Result<(), SettingError> {
         if !self.training.simulation.safety_box.guard.is_box() {
             return Err(SettingError::GuardOfSimulations);

@@ -166,13 +166,13 @@ impl SessionSettings {
         all.homing.estimator = observing(&all.homing.estimator);
         all.homing.travel_rad.get_or_insert(all.homing.expected_travel_rad());
         all.identification.get_or_insert(IdentificationSettings::DEFAULT);
-        let of_lab = ProfileSettings {
+        let example_profile = ProfileSettings {
             model: QubeModel::NOMINAL,
             spread: 0.1,
             directions: vec![],
             axes: vec![],
         };
-        let profile = all.profile.get_or_insert(of_lab);
+        let profile = all.profile.get_or_insert(example_profile);
         profile.model = drifting(profile.model);
         if profile.directions.is_empty() {
             profile.directions =
@@ -235,7 +235,7 @@ impl Setting {
     }
 }
 
-/// The entry of an array of tables in which the lines of a text are.
+/// The entry of an array of tables to which the lines of a text belong.
 #[derive(Default)]
 struct ArrayEntry {
     /// Path of the array; empty outside of any.

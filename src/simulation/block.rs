@@ -77,8 +77,8 @@ impl Block {
     }
 }
 
-/// The parts of a simulation around the physics: sensors, observation, reward and box, in `f32` as
-/// the lanes.
+/// The parts of a simulation around the physics: sensors, observation, reward and box, in `f32`
+/// like the lanes.
 #[derive(Clone, Debug)]
 pub(super) struct Environment {
     /// Sensors and estimators through which policy and guard see the states.

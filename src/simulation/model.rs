@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn searched_models_need_a_psi_and_those_around_a_qube_need_one() {
+    fn searched_models_need_a_psi_and_models_around_a_qube_need_a_profile() {
         let space = PsiSpace::thesis();
         let psi = space.psi(&space.lower()).unwrap();
         let profile = ProfileSettings::of(

@@ -246,7 +246,7 @@ fn encoders_show_what_the_estimator_of_the_machine_makes_of_the_counts() {
 }
 
 #[test]
-fn the_guard_of_the_lanes_goes_by_its_own_filter_as_that_of_the_machine() {
+fn simulated_lanes_guard_by_the_guards_own_filter_like_a_real_tick() {
     // The box is so narrow that the velocities cross its limits again and again.
     let safety_box =
         SafetyBox { theta_dot: 5.0, alpha_dot: 5.0, theta: 100.0, ..SafetyBox::THESIS };

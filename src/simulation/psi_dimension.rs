@@ -250,8 +250,8 @@ impl<'de> Deserialize<'de> for PsiDimension {
     }
 }
 
-/// Reads a dimension that stands after these in a list. It checks the dimension while its table is
-/// read, so that an error names the line of this table and not that of the list.
+/// Reads the next dimension of a list, given the dimensions before it. It checks the dimension
+/// while its table is read, so that an error names the line of this table and not the list's.
 pub(super) struct DimensionAfter<'a>(pub(super) &'a [PsiDimension]);
 
 impl<'de> DeserializeSeed<'de> for DimensionAfter<'_> {

@@ -184,7 +184,7 @@ pub struct FolderLock {
 }
 
 impl FolderLock {
-    /// Makes a lock of nothing, for a disk that only this process can see.
+    /// Makes a lock that locks nothing, for a disk that only this process can see.
     #[must_use]
     pub fn unshared() -> Self {
         Self { lock: None }
@@ -249,8 +249,8 @@ pub struct WriteError {
 /// End of the names of files that are still being written.
 const UNFINISHED: &str = ".unfinished";
 
-/// Most names that are tried for a file that is still being written.
-const MOST_NAMES: u32 = 1000;
+/// Largest number of names that are tried for a file that is still being written.
+const MAX_NAMES: u32 = 1000;
 
 /// Writes a file atomically: after a loss of power the file has all its new bytes, or is as it was
 /// before the call.
@@ -349,7 +349,7 @@ fn write_and(
 /// skipped, because the file may belong to a process of another computer, or to the user.
 fn create_unfinished(disk: &dyn Disk, path: &Path) -> io::Result<(PathBuf, Box<dyn DiskFile>)> {
     let process = std::process::id();
-    for number in 0..MOST_NAMES {
+    for number in 0..MAX_NAMES {
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(format!(".{process}-{number}{UNFINISHED}"));
         let unfinished = path.with_file_name(name);

@@ -38,7 +38,7 @@ const CLOUD_POINTS: usize = 8;
 /// become starts only if there are too few others.
 const APART: f64 = 0.03;
 
-/// Maximises an acquisition over the box.
+/// Maximises an acquisition function over the box.
 ///
 /// The function evaluates Owen-scrambled Sobol points, the `hints` and clouds of points around
 /// them, then follows the gradient from the best of these points by L-BFGS within the box. Hints

@@ -81,8 +81,8 @@ pub enum TickRules {
     /// Adds the faults of an arm's count that drifts away from the tachometer, and of a jump of the
     /// pendulum's count for which the guard has begun to brake.
     DriftTested,
-    /// Adds the fault of a computer that skips control periods again and again; a policy that
-    /// overheats the motor has left a limit.
+    /// Adds the fault of a computer that skips control periods again and again. A policy that
+    /// overheats the motor ends with [`Ending::LeftBox`] instead of a fault.
     SlownessTested,
     /// Adds the faults of a device that reports another voltage at its motor than it was sent, and
     /// of an arm that is fast after a second of braking.

@@ -32,7 +32,7 @@ pub struct Worst {
 pub fn search(domain: &Domain, seed: u64, generations: u32) -> Worst {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut mean: Genome = std::array::from_fn(|_| 0.7 * normal(&mut random));
-    // Parameters start near a corner.
+    // The parameters of the Qube start near a corner of the domain.
     for entry in &mut mean[..9] {
         *entry = if random.random::<bool>() { 1.0 } else { -1.0 };
     }

@@ -67,7 +67,7 @@ fn a_ledger_cut_at_any_byte_costs_no_rollout() {
         let rollouts = resumes_to_the_same_ledger(world, &disk, &format!("cut at {cut}"));
         assert_eq!(rollouts, 0, "cut at {cut}: a finished rollout was done again");
     });
-    // Before that line was synced nothing else was made, so the session begins anew.
+    // Before the first line was synced nothing else was made, so the session begins anew.
     for cut in 0..=first_line {
         let disk = SimulatedDisk::default();
         let configuration = world.settings.to_toml().unwrap();

@@ -10,17 +10,17 @@ const MS: Nanoseconds = 1_000_000;
 /// A failure of an operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Its bytes are lost.
+    /// The operation's bytes are lost.
     Drop,
-    /// Its bytes are delayed by this time, ns, and later ones do not overtake them.
+    /// The operation's bytes are delayed by this time, ns, and later bytes do not overtake them.
     Delay(Nanoseconds),
-    /// A bit of it is flipped.
+    /// A bit of the operation's bytes is flipped.
     Garble,
-    /// Its bytes come twice.
+    /// The operation's bytes come twice.
     Duplicate,
-    /// Its bytes come after those of the next one in the same direction.
+    /// The operation's bytes come after those of the next operation in the same direction.
     Reorder,
-    /// Its second half is lost.
+    /// The second half of the operation's bytes is lost.
     Truncate,
     /// A read returns one byte now and the rest later; a write takes half and reports that.
     Short,
@@ -34,8 +34,8 @@ pub enum Kind {
     Rename,
 }
 
-/// All failures, with delays from those of a healthy link to those longer than the device's
-/// watchdog.
+/// All failures, with two delays that a healthy link may have and one that is longer than the
+/// device's watchdog.
 pub const KINDS: [Kind; 13] = [
     Kind::Drop,
     Kind::Delay(13 * MS),
@@ -53,7 +53,7 @@ pub const KINDS: [Kind; 13] = [
 ];
 
 impl Kind {
-    /// Whether a healthy link shows it now and then, so that a single one must not end a motion.
+    /// Whether a healthy link shows this failure now and then: a single one must not end a motion.
     pub fn is_ordinary(self) -> bool {
         match self {
             Self::Drop

@@ -2,8 +2,8 @@
 //!
 //! Until a file is synced, its new bytes may be lost or read as zeros, and a file that was cut or
 //! begun anew may have its old bytes again. Bytes that a failed sync has not written are not
-//! written by a later one either, as under Linux. Until a folder is synced, its names may be the
-//! old or the new ones, all of them alike.
+//! written by a later one either, as under Linux. Until a folder is synced, a loss of power leaves
+//! either all of its old names or all of its new ones.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;

@@ -27,7 +27,7 @@ pub struct Wiring {
 #[derive(Default)]
 struct State {
     plans: Vec<Option<Plan>>,
-    /// Requests a stop at this operation of this rig.
+    /// Rig and operation at which a stop is requested, and the flag that requests it.
     stop: Option<(usize, u64, Arc<AtomicBool>)>,
     opened: Vec<WatchedWire>,
     /// An existing board for the next rig.

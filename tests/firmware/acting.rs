@@ -1,4 +1,4 @@
-//! Tests the delay of an act to the Qube, and a flood of requests.
+//! Tests how soon the firmware passes an act on to the Qube, and a flood of requests.
 
 use std::time::Duration;
 
@@ -11,14 +11,14 @@ use crate::host::{Disturbed, scenario};
 
 const ACTS: i16 = 40;
 
-/// Time of 17 bytes at 1 MHz, with an interrupt between two of them.
+/// Time of 17 bytes at 1 MHz, with an interrupt after each of them, us.
 const FRAME_US: u64 = 17 * 11;
 
 /// Longest time from the chip's start to the start of the firmware's clock: at its first start the
 /// firmware writes its serial number into the EEPROM.
 const BOOT_US: u64 = 60_000;
 
-/// Time between the firmware's reading of its clock and the fall of chip select, at most.
+/// Largest time between the firmware's reading of its clock and the fall of chip select, us.
 const CLOCK_US: u64 = 4;
 
 /// Tests that an act starts a frame at once, or directly after the current one. To wait for the

@@ -12,7 +12,7 @@ use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// Attempts, because the computer may answer late.
+/// Largest number of attempts; there are several, because the computer may answer late.
 const ATTEMPTS: u32 = 10;
 
 #[test]

@@ -103,9 +103,8 @@ impl Host {
         self.board.qube().commands.iter().filter(|it| it.deselected_us > time_us).copied().collect()
     }
 
-    /// After an order that switches the motor off: the time from the order to the first command
-    /// without the motor, us, and all commands from that one on. The motor must have been on when
-    /// the order came.
+    /// The time from an order that switches the motor off to the first command without the motor,
+    /// us, and all commands from that one on. The motor must have been on when the order came.
     pub fn off_after_order(&self) -> Result<(u64, Vec<Command>), Disturbed> {
         let ordered_us = self.board.ordered_us();
         let mut off = self.commands_since(ordered_us.saturating_sub(BEFORE_ORDER_US));
@@ -125,7 +124,7 @@ pub fn scenario(run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
 
 /// Runs a scenario like [`scenario`], on this chip. An attempt is repeated only if a processor
 /// stalled in it or the simulation lost real time; on a computer that kept up the board is to
-/// blame. A panic is repeated only if a processor stalled, and never that of the last attempt.
+/// blame. An attempt that panics is repeated only if a processor stalled, and the last one never.
 pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
     let Some(toolchain) = toolchain() else { return };
     for attempt in 1..=ATTEMPTS {

@@ -1,4 +1,4 @@
-//! Measurements, for `firmware-protocol/firmware/README.md`:
+//! Measures the latency of the simulated board for `firmware-protocol/firmware/README.md`:
 //! `cargo test --release --test firmware latency -- --ignored --nocapture`.
 
 use std::time::{Duration, Instant};
@@ -52,7 +52,7 @@ fn latency_on_the_firmware() {
     // the tail is longer.
     let _ = enter_realtime();
     while round_trips_us.len() < SAMPLES {
-        // At all phases of the device's sampling timer.
+        // The requests come at all phases of the device's sampling timer.
         std::thread::sleep(Duration::from_micros(random.random_range(5_000..9_000)));
         let asked = Instant::now();
         if host.sample().is_ok() {

@@ -21,8 +21,8 @@ const FIRST_FRAME_US: u64 = 1_000;
 /// Error of the time of an order: a frame, and some of the simulator's slices.
 const ORDER_US: u64 = 3_000;
 
-/// Drives and restarts the board meanwhile. Returns the time for which the motor stayed on, us, and
-/// the identities before and after.
+/// Drives the motor and restarts the board meanwhile. Returns the time for which the motor stayed
+/// on, us, and the identities before and after.
 fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), Disturbed> {
     let before = host.link.hello().unwrap();
     host.arm_and_drive()?;
@@ -30,7 +30,7 @@ fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), D
     host.board.wait_us(150_000);
     let (on_us, off) = host.off_after_order()?;
     assert!(off.len() > 10 && off.iter().all(|it| it.motor_word == 0), "{off:?}");
-    // Not by the firmware's watchdog, which needs 50 ms and turns the LED red.
+    // The firmware's watchdog did not switch it off: it needs 50 ms and keeps the LED red.
     assert!(off[0].is_red() && !off[5].is_red(), "the first frame of a start is red, then white");
     let refused = host.sample();
     if refused == Err(LinkFault::Timeout) {

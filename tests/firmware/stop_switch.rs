@@ -50,8 +50,8 @@ fn stops(chip: Chip) {
         let [red, green, blue] = off.last().unwrap().leds;
         assert!(red > 0 && green == 0 && red == blue, "magenta: {:?}", off.last());
 
-        // Open: refused. Closed again: still latched until a hello, which a link that has seen the
-        // stop does not send.
+        // While the contact is open, the board refuses to arm. After the contact has closed, the
+        // stop stays latched until a hello, which a link that has seen the stop does not send.
         let mut next = next_link(host);
         next.hello().unwrap();
         let refused = next.arm().unwrap_err();

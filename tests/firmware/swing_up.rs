@@ -16,7 +16,8 @@ use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// Attempts, because the policy may leave the box, and because the computer may be too slow.
+/// Largest number of attempts; there are several, because the policy may leave the box, and because
+/// the computer may be too slow.
 const ATTEMPTS: u32 = 4;
 
 fn plan() -> RolloutPlan {

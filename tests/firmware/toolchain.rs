@@ -96,8 +96,8 @@ fn make(directory: &Path, arguments: &[String]) -> Vec<u8> {
     made.stdout
 }
 
-/// The built firmware; `None` if the tests must be skipped. The first call prints that, even if the
-/// test's output is captured.
+/// The built firmware; `None` if the tests must be skipped. The first call then prints the reason,
+/// even if the test's output is captured.
 pub fn toolchain() -> Option<&'static Toolchain> {
     static TOOLCHAIN: OnceLock<Option<Toolchain>> = OnceLock::new();
     TOOLCHAIN

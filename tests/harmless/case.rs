@@ -130,7 +130,7 @@ impl Case {
     }
 }
 
-/// The Qubes of which a start draws one.
+/// The set of Qubes from which a start draws its Qube.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Qubes {
     /// Nominal, `lab`, and `lab` moved 1.5 times as far from nominal; half of them with parameters

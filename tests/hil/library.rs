@@ -17,7 +17,8 @@
 //!
 //! A fault has the form `FUNCTION:KIND[:AT[:TIMES]]`: calls of FUNCTION from the AT-th on (the
 //! first by default) have a fault of this KIND, TIMES of them (all by default). Kinds:
-//! `error=CODE`, `hang=MS`, `stale`, `jump=COUNTS` of the arm, `jump-alpha=COUNTS`, `unplug=MS`.
+//! `error=CODE`, `hang=MS`, `stale` (the counts change no more), `jump=COUNTS` of the arm,
+//! `jump-alpha=COUNTS`, `unplug=MS`.
 
 use std::collections::BTreeMap;
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};

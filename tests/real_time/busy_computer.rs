@@ -14,8 +14,8 @@ pub const TOO_LATE: &str = "keep this computer busy";
 /// Largest number of repetitions of a test.
 const AGAIN: u32 = 6;
 
-/// Lateness of a thread that shows a stalled computer: longer than a control period and than the
-/// scheduling of ready threads.
+/// Lateness of a thread that shows a stalled computer: longer than a control period, and longer
+/// than the scheduler lets a ready thread wait on a computer that keeps up.
 pub const STANDS_STILL: Duration = Duration::from_millis(15);
 
 /// Interval at which the witness wakes.
@@ -24,7 +24,7 @@ const NAP: Duration = Duration::from_millis(2);
 /// Time without a stall after which the computer counts as calm.
 const CALM: Duration = Duration::from_secs(2);
 
-/// Largest number of such intervals to wait for before a repetition.
+/// Largest number of intervals of [`CALM`] to wait for before a repetition.
 const CALMS: u32 = 15;
 
 /// Runs a test whose emulated Qube is served in real time. If it fails and the computer stalled

@@ -60,7 +60,7 @@ fn the_table_fits_a_terminal_and_its_json_names_each_check() {
 }
 
 #[test]
-fn conformance_of_any_device_is_a_command() {
+fn check_conformance_examines_any_device() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         for arguments in [&["--clock", "virtual"][..], &["--device", "emulated"]] {

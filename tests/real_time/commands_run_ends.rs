@@ -20,7 +20,8 @@ use crate::shared::PATIENCE;
 /// Seed of the emulated Qube, from which its serial number follows.
 const SEED: u64 = 5;
 
-/// Calls `run` on that Qube with homing by hand, which takes only some seconds.
+/// Calls `run` on the Qube behind the port `qube` of a folder, with homing by hand, which takes
+/// only some seconds; returns its output, the JSON object that it printed, and its messages.
 fn run(directory: &Path, out: &str, more: &[&str]) -> (Output, Value, String) {
     let device = directory.join("qube");
     let mut arguments = vec!["run", "--policy", "classical", "--home", "hand", "--json"];

@@ -1,7 +1,7 @@
 //! Tests the space bar at a terminal: it brakes like Ctrl-C, as does Ctrl-Z on a real Qube, and the
 //! terminal is restored on every way out. Keys that were typed ahead answer no question, and Ctrl-C
-//! ends one. A doubt of the first homing is asked about. The terminal is a real pty and the
-//! program's controlling terminal.
+//! ends a question. The program asks the operator about a doubt that the first homing leaves. The
+//! terminal is a real pty and the program's controlling terminal.
 
 use std::io::Read;
 use std::os::fd::{AsFd, OwnedFd};
@@ -204,7 +204,7 @@ fn ctrl_z_brakes_a_real_qube_and_suspends_nothing() {
 /// The program leads a session of its own here, as behind `ssh -t`, in a container or in a window
 /// of tmux. `commands_screen.rs` suspends it under a shell.
 #[test]
-fn ctrl_z_freezes_no_program_that_no_shell_could_continue() {
+fn ctrl_z_does_not_suspend_a_session_leader() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let mut terminal = Terminal::start(directory.path(), &RUN);
@@ -308,7 +308,7 @@ fn a_doubt_of_the_first_homing_is_asked_about_at_the_terminal() {
 }
 
 #[test]
-fn a_session_hears_the_space_bar_and_prints_what_is_there() {
+fn the_space_bar_stops_a_session_which_prints_its_results_so_far() {
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let arguments = ["session", "--clock", "virtual", "--json", "--out", "out"];

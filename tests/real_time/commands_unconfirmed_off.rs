@@ -12,7 +12,8 @@ use crate::program::{ServedQube, program};
 use crate::shared::PATIENCE;
 
 /// Time of the board after which it ignores each disarm, s. The first rollout has begun by then and
-/// lasts longer. If homing is that late, its own disarm is ignored, with the same end.
+/// lasts longer. If homing lasts until then, the board ignores the disarm that ends homing, and the
+/// command ends in the same way.
 const IGNORED_AFTER_S: f64 = 6.0;
 
 /// Arguments of the commands that make rollouts, each into the folder `out`.
@@ -22,7 +23,7 @@ const COMMANDS: [&[&str]; 3] = [
     &["session", "--method", "posterior", "--out", "out"],
 ];
 
-/// A recording in this folder or below it with at least 20 ticks.
+/// A recording in this folder or below it with more than 20 ticks.
 fn rollout_under_way(folder: &Path) -> Option<PathBuf> {
     let entries = std::fs::read_dir(folder).ok()?;
     entries.filter_map(|entry| Some(entry.ok()?.path())).find_map(|path| {

@@ -26,17 +26,17 @@ static RUNS: RwLock<()> = RwLock::new(());
 /// start, around homing, around the rollout.
 const RARE: &[u64] = &[1, 2, 4];
 
-/// Numbers of such calls of the functions that every arm request calls: once for homing, once for
-/// the rollout.
+/// Numbers of the calls at which a fault begins, of the functions that every arm request calls:
+/// once for homing, once for the rollout.
 const ARMS: &[u64] = &[1, 2];
 
-/// Numbers of such calls of the function that only a hello calls, twice.
+/// Numbers of the calls at which a fault begins, of the function that only a hello calls, twice.
 const TEXTS: &[u64] = &[1, 2];
 
-/// Numbers of such calls of the function that reads a sample in every tick.
+/// Numbers of the calls at which a fault begins, of the function that reads a sample in every tick.
 const FREQUENT: &[u64] = &[1, 260, 420];
 
-/// Numbers of such calls of the functions that every act calls.
+/// Numbers of the calls at which a fault begins, of the functions that every act calls.
 const ACTS: &[u64] = &[1, 3, 150];
 
 /// The functions, and the numbers of the calls from which each fails, counted from 1.
@@ -146,7 +146,7 @@ fn run_once(fault: &str) -> (Ended, bool) {
     assert!([0, 1, 2, 4].contains(&code), "{fault}: {ended:?}");
     assert!(!ended.told.contains("panicked"), "{fault}: {ended:?}");
     assert!(ended.told.matches("qube-hil doctor").count() <= 1, "{fault}: {ended:?}");
-    // The library writes the state down when a fault begins, that of the first call included.
+    // The library writes the state down when a fault begins, even at the first call.
     let state = panel.amplifier().unwrap_or_else(|| panic!("{fault}: nothing was called"));
     assert!(state.starts_with("enabled false\n"), "{fault}: {state} {ended:?}");
     let is_met = fault.split('+').all(|fault| is_met(&panel, fault));

@@ -106,7 +106,7 @@ fn a_card_that_cannot_be_opened_is_refused_with_the_librarys_words_and_a_remedy(
 }
 
 #[test]
-fn the_guard_of_a_card_is_not_switched_off_by_one_word() {
+fn guard_box_alone_does_not_switch_off_the_guard_of_a_card() {
     let panel = Panel::new(&[]);
     let arguments =
         ["run", "--policy", "classical", "--device", "hil", "--guard", "box", "--out", "runs"];

@@ -1,7 +1,7 @@
 //! Tests the wire over a real pty and the serial port library, against the emulated Qube.
 //!
-//! Nothing here depends on the load of the computer: a time is by the device's clock, has seconds
-//! to spare, or is tried again.
+//! Nothing here depends on the load of the computer: a time limit is by the device's clock or has
+//! seconds to spare, or the test tries again.
 
 use std::io::{Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd};
@@ -72,7 +72,7 @@ fn an_emulated_qube_is_reached_like_a_real_one() {
 
 /// `tests/real_time/preflight_conformance.rs` tests the watchdog's timing.
 #[test]
-fn the_watchdog_switches_the_motor_off_and_stays_off() {
+fn the_watchdog_switches_the_motor_off_and_it_stays_off() {
     let qube = qube(None);
     let mut link = open(&qube);
     arm(&mut link);

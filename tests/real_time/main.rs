@@ -2,8 +2,8 @@
 //! is served while time passes, and the vendor's library with a plant behind it.
 //!
 //! Most of them wait, so that two tests at once take the time of one. Tests that compute are in
-//! `tests/virtual_time`, because here they would make the others late. An emulated Qube on a pty
-//! also locks the memory of its process, which tests that need much memory thus avoid.
+//! `tests/virtual_time`, because here they would make the others late. Tests that need much memory
+//! are there, too, because an emulated Qube on a pty locks the memory of its process.
 
 mod busy_computer;
 mod commands_check;

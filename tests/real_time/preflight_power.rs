@@ -26,16 +26,17 @@ const SEED: u64 = 5;
 /// Delay of the operator's hand: the motor presses by then.
 const AN_OPERATOR_TAKES: Duration = Duration::from_millis(500);
 
-/// Questions of the rehearsal that this operator's finger leaves no cause for.
+/// Questions of the rehearsal, the press before the plug is pulled, for which this operator's
+/// finger gives no cause.
 const UNEXPECTED: [&str; 2] = ["The arm is not at a stop", "It stayed away"];
 
 /// An emulated Qube with or without an operator's finger at its arm, at the port `link`; with
-/// `restarts`, its board begins with another start than the first one's.
+/// `restarts`, its board restarts at once, so that it reports another start than the first Qube.
 fn qube(link: &Path, finger: Option<Finger>, restarts: bool) -> EmulatedQube {
     qube_of(SEED, link, finger, restarts)
 }
 
-/// As [`qube`], of the board whose serial number is this seed.
+/// An emulated Qube like [`qube`], whose board has this seed as its serial number.
 fn qube_of(seed: u64, link: &Path, finger: Option<Finger>, restarts: bool) -> EmulatedQube {
     let start = Some(State::default());
     let fault = restarts.then_some(EmulatorFault::BoardRestart { after_s: 0.0 });

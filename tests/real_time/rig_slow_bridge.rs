@@ -78,7 +78,7 @@ fn through_a_genuine_unos_bridge_the_usual_limit_loses_samples_and_the_measured_
 }
 
 #[test]
-fn a_rollout_through_it_is_recorded_with_its_link_and_replays_the_same() {
+fn a_rollout_through_a_slow_bridge_records_its_link_and_replays_the_same() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let rig = Rig::open(&settings(Some(UsbBridge::Atmega16u2), 3), &stop()).unwrap();
@@ -99,7 +99,7 @@ fn a_rollout_through_it_is_recorded_with_its_link_and_replays_the_same() {
 }
 
 #[test]
-fn a_plain_line_waits_as_ever_and_a_link_that_is_too_slow_is_refused() {
+fn a_link_without_a_bridge_keeps_the_usual_timeout_and_a_too_slow_one_is_refused() {
     let found = Rig::connect(&settings(None, 1), &stop()).unwrap().check(OtherSigns::Fail).unwrap();
     assert_eq!(u64::from(found.link.unwrap().sample_time_us) * 1000, SAMPLE_TIMEOUT_NS);
 

@@ -1,5 +1,5 @@
-//! Tests the calls of tests in pages and scripts: the program of tests exists, each filter selects
-//! a test of it, and one that is ignored if the call runs only ignored tests.
+//! Tests the calls of tests in pages and scripts: the program of tests exists, and each filter
+//! selects one of its tests, an ignored one if the call runs only ignored tests.
 
 use std::fs;
 
@@ -47,7 +47,7 @@ fn tests_of(program: &str) -> Option<Vec<Test>> {
         let mut module: Vec<String> =
             inside.iter().map(|part| part.to_string_lossy().into_owned()).collect();
         module.retain(|part| part != "mod" && part != "lib");
-        // A module of the library has its tests in a module below it, whichever file that is in.
+        // A module of the library has its tests in a module below it, whichever file they are in.
         if is_library {
             if let Some(last) = module.last_mut() {
                 *last = last.trim_end_matches("_tests").to_owned();
@@ -71,8 +71,8 @@ struct Call {
 }
 
 impl Call {
-    /// The call that has these arguments of `cargo test`, which end with the command or with its
-    /// quotation; `None` if it names no program of tests of this package.
+    /// The call that a text after `cargo test` describes, up to the end of the command or of its
+    /// quotation; `None` if the call names no program of tests of this package.
     fn new(arguments: &str) -> Option<Self> {
         let arguments = arguments.split(['`', '#', '|', ';', '\n']).next().unwrap();
         let (mut program, mut filters, mut only_ignored) = (None, Vec::new(), false);

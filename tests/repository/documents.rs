@@ -10,7 +10,7 @@ use std::process::{Command, Stdio};
 use crate::shared::isolate;
 use crate::tree::root;
 
-/// Names of folders whose pages, if any, do not belong to the repository's.
+/// Names of folders whose pages, if any, are not tested.
 const SKIPPED: [&str; 5] = ["target", ".git", "corpus", "build", "tests"];
 
 /// Languages of fenced blocks that hold commands.

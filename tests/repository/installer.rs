@@ -80,7 +80,7 @@ fn impossible_requests_are_refused() {
         &["--nonsense"],
         &["--binary", "/no/such/file"],
         &["--board"],
-        // Each of these is more than one board's serial number in a rule.
+        // In a rule, none of these would be the serial number of one board.
         &["--board", "*"],
         &["--board", "A\", RUN+=\"/bin/sh"],
         &["--board", "A|B"],
@@ -99,9 +99,9 @@ struct Port<'a> {
     serial: Option<&'a str>,
 }
 
-/// The names that udev rules give a port. It implements the subset of udev's language that the
-/// rules use: a condition on an unknown property counts as not met, and an unknown assignment is an
-/// error.
+/// The names that udev rules give a port. The function implements the subset of udev's language
+/// that the rules use: a condition on an unknown property counts as not met, and an unknown
+/// assignment is an error.
 fn names(rules: &str, port: &Port) -> Vec<String> {
     let mut names = Vec::new();
     let mut wanted: Option<String> = None;
@@ -158,7 +158,7 @@ fn names(rules: &str, port: &Port) -> Vec<String> {
 }
 
 #[test]
-fn only_boards_that_are_known_or_were_told_are_the_qube() {
+fn only_known_or_named_boards_get_the_name_dev_qube() {
     let directory = tempfile::tempdir().unwrap();
     let prefix = directory.path().to_str().unwrap();
     let installed = || {

@@ -20,7 +20,8 @@ fn assets() -> Vec<(String, String)> {
     assets.iter().map(|asset| (text(&asset[0]), text(&asset[1]))).collect()
 }
 
-/// The files that a source names: itself, or all of a folder with an ending, such as `docs/*.md`.
+/// The files that a source names: one file, or all files of a folder with an ending, such as
+/// `docs/*.md`.
 fn files_of(source: &str) -> Vec<String> {
     let Some((folder, ending)) = source.split_once("/*") else { return vec![source.to_owned()] };
     let Ok(entries) = fs::read_dir(root().join(folder)) else { return Vec::new() };
@@ -107,7 +108,7 @@ fn the_debian_package_holds_what_the_installer_installs() {
 }
 
 #[test]
-fn both_make_the_groups_and_the_user_that_the_rules_and_the_unit_name() {
+fn installer_and_package_make_the_groups_and_the_user_that_rules_and_unit_name() {
     let read = |file: &str| fs::read_to_string(root().join(file)).unwrap();
     let rules = read("scripts/60-qube-hil.rules") + &read("scripts/61-qube-hil-realtime.rules");
     let unit = read("scripts/qube-hil@.service");

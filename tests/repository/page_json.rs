@@ -198,7 +198,7 @@ fn benchmarks_print_the_fields_of_the_page() {
 }
 
 #[test]
-fn an_emulated_qube_prints_the_fields_of_the_page() {
+fn emulate_prints_the_fields_of_the_page() {
     let directory = tempfile::tempdir().unwrap();
     let mut serving = command_in(directory.path())
         .args(["emulate", "--link", "qube", "--json"])
@@ -215,7 +215,7 @@ fn an_emulated_qube_prints_the_fields_of_the_page() {
 }
 
 #[test]
-fn a_computer_that_is_looked_at_prints_the_fields_of_the_page() {
+fn doctor_prints_the_fields_of_the_page() {
     // Whether this computer is fit does not matter here.
     let directory = tempfile::tempdir().unwrap();
     agrees("`doctor`", &told(directory.path(), &["doctor"]).0);

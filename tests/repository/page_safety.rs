@@ -7,8 +7,8 @@ use std::fs;
 
 use crate::tree::{root, source_files};
 
-/// Fewest underscores of a name in the page that is taken for that of a test: "a stop brakes at
-/// once" has four, and no other name in the page has more than two.
+/// Fewest underscores of a name in the page that is taken for a test's name:
+/// `the_default_is_guarded` has three, and no name of anything else in the page has more than two.
 const FEWEST_UNDERSCORES: usize = 3;
 
 /// The names of all tests in a source text, each with whether `cargo test` leaves it out.
@@ -27,7 +27,7 @@ fn tests_of(text: &str) -> Vec<(&str, bool)> {
         .collect()
 }
 
-/// Whether `cargo test` runs a test of this name, by name.
+/// The names of all tests, each with whether `cargo test` runs a test of this name.
 fn all_tests() -> BTreeMap<String, bool> {
     let mut tests = BTreeMap::new();
     for folder in ["src", "tests", "firmware-protocol/src"] {

@@ -32,7 +32,7 @@ fn constant(file: &str, name: &str) -> f64 {
 }
 
 #[test]
-fn every_threshold_of_the_table_is_the_programs() {
+fn every_threshold_in_the_table_equals_its_constant() {
     let page = fs::read_to_string(root().join("docs/researcher.md")).unwrap();
     let table = page.split("\n| threshold | constant | value |").nth(1).expect("the table");
     let rows = table.lines().skip(2).take_while(|line| line.starts_with('|'));

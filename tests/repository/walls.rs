@@ -297,7 +297,7 @@ fn check_file(file: &Path, source: &str) -> Vec<Breach> {
     }
 }
 
-/// The breach that an import is, in words; `None` if it is allowed.
+/// Describes the breach that an import commits; `None` if the import is allowed.
 fn check_import(room: &Room, module: &[String], import: &Import) -> Option<String> {
     let name = room.name;
     let is_allowed = |target: &str| {
@@ -347,7 +347,8 @@ fn check_import(room: &Room, module: &[String], import: &Import) -> Option<Strin
     }
 }
 
-/// The emulator implements the other side of the wire; shared code would hide faults of the
+/// Describes an import of the host's side by the emulator; `None` for any other import. The
+/// emulator implements the other side of the wire, and shared code would hide faults of the
 /// protocol.
 fn check_emulator(module: &[String], target: &[String]) -> Option<String> {
     let part_of = |path: &[String]| path.get(1).map(String::as_str) == Some("emulator");
@@ -355,7 +356,8 @@ fn check_emulator(module: &[String], target: &[String]) -> Option<String> {
         .then(|| format!("the emulator may not import `{}` of the host's side", target.join("::")))
 }
 
-/// `lib.rs` only declares the rooms; `main.rs` calls the commands.
+/// The breaches in the files at the crate's root: `lib.rs` only declares the rooms, and `main.rs`
+/// only calls the commands.
 fn check_root(file: &Path, source: &str) -> Vec<String> {
     if file == Path::new("main.rs") {
         return imports(&[], source)
@@ -450,7 +452,7 @@ mod the_checker {
     }
 
     #[test]
-    fn names_what_cannot_be_followed_or_hands_on() {
+    fn reports_paths_that_cannot_be_followed_and_re_exports() {
         for source in [
             "use crate as root;",
             "use crate::{self as root};",

@@ -86,7 +86,7 @@ pub fn features(state: &State) -> [f64; FEATURES] {
     [1.0, state.theta, sin, cos, 0.1 * state.theta_dot, 0.1 * state.alpha_dot]
 }
 
-/// The product of weights and features.
+/// The sum of the features times their weights.
 pub fn weigh(weights: &[f64; FEATURES], features: &[f64; FEATURES]) -> f64 {
     weights.iter().zip(features).map(|(weight, feature)| weight * feature).sum()
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::program::{has_refused, qube_hil, refused, succeeds};
 
 #[test]
-fn ports_that_are_none() {
+fn names_that_are_no_ports_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let run = |port: &str, words: &[&str]| {
         let arguments = ["run", "--policy", "classical", "--device", port];
@@ -15,7 +15,7 @@ fn ports_that_are_none() {
     };
     run("/dev/ttyNOWHERE", &["no such port", "/dev/ttyNOWHERE", "plugged in"]);
     run("/dev/null", &["/dev/null"]);
-    // The sentence is the only one: nothing is announced that then does not happen.
+    // The program prints this sentence only: it announces nothing that then does not happen.
     for command in [&["session"][..], &["check"], &["run", "--policy", "classical"]] {
         for (port, words) in [("/dev/ttyNOWHERE", "no such port"), ("/tmp", "not a serial port")] {
             let output = qube_hil(directory.path(), &[command, &["--device", port]].concat());
@@ -32,7 +32,7 @@ fn ports_that_are_none() {
 }
 
 #[test]
-fn a_board_of_another_qube_is_not_that_of_the_emulated_one() {
+fn a_qube_file_for_another_board_is_refused_with_the_emulated_qube() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("qube.toml"), "board = \"B2\"\n").unwrap();
     let run = ["run", "--policy", "classical", "--qube", "qube.toml", "--device", "emulated"];
@@ -105,7 +105,7 @@ fn a_run_without_a_controller_names_both_ways_to_choose_one() {
 }
 
 #[test]
-fn estimators_that_are_none() {
+fn invalid_estimator_options_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let run = |flags: &[&str], words: &[&str]| {
         let arguments = [&["run", "--policy", "classical", "--clock", "virtual"], flags].concat();
@@ -126,7 +126,7 @@ fn estimators_that_are_none() {
 }
 
 #[test]
-fn a_psi_that_cannot_be() {
+fn an_invalid_psi_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let mut file = std::fs::File::create(directory.path().join("psi.toml")).unwrap();
     let text = "mean_M_p = -0.5\nstd_M_p = 0.001\nmean_M_r = 0.1\nstd_M_r = 0.001\n\
@@ -144,7 +144,7 @@ fn a_psi_that_cannot_be() {
 }
 
 #[test]
-fn simulations_that_cannot_be() {
+fn invalid_simulation_options_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let cases: [(&[&str], &[&str]); 8] = [
         (&["--profile", "nowhere.toml"], &["nowhere.toml"]),
@@ -163,7 +163,7 @@ fn simulations_that_cannot_be() {
 }
 
 #[test]
-fn emulated_qubes_that_cannot_be() {
+fn invalid_options_of_the_emulated_qube_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let cases: [(&[&str], &[&str]); 7] = [
         (&["--gap", "1.5"], &["--gap has no effect", "--profile"]),
@@ -181,7 +181,7 @@ fn emulated_qubes_that_cannot_be() {
 }
 
 #[test]
-fn values_with_a_dash_are_told_by_their_option() {
+fn errors_about_values_with_a_dash_name_their_option() {
     let directory = tempfile::tempdir().unwrap();
     let run: &[&str] = &["run", "--policy", "classical", "--clock", "virtual"];
     let cases: [(&[&str], &[&str]); 4] = [
@@ -197,7 +197,7 @@ fn values_with_a_dash_are_told_by_their_option() {
 
 /// With `--json`, the last line of stdout is a JSON object that names the cause of the failure.
 #[test]
-fn scripts_are_told_too() {
+fn json_output_names_the_cause_of_a_failure() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("no.policy"), "nonsense").unwrap();
     let cases: [(&[&str], &str); 10] = [
@@ -248,7 +248,7 @@ fn a_whole_number_is_asked_for_without_a_type_of_the_program() {
 }
 
 #[test]
-fn the_travel_of_a_rig_is_a_travel() {
+fn a_travel_outside_its_range_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     for travel in ["nan", "-1", "1e300", "0"] {
         let settings = format!("[homing]\ntravel_rad = {travel}\n");
@@ -292,7 +292,7 @@ fn options_that_do_not_fit_are_refused_before_anything_else_is_said() {
 }
 
 #[test]
-fn numbers_without_an_end_are_refused() {
+fn infinite_and_too_large_numbers_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     for hours in ["1e300", "inf", "0"] {
         let soak = ["soak", "--clock", "virtual", "--hours", hours];

@@ -238,7 +238,7 @@ fn nobody_is_told_to_delete_a_file_that_is_no_checkpoint() {
 }
 
 #[test]
-fn recordings_that_are_torn_or_changed() {
+fn cut_or_changed_recordings_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     let made = qube_hil(
         directory.path(),
@@ -262,7 +262,7 @@ fn recordings_that_are_torn_or_changed() {
 }
 
 #[test]
-fn folders_that_cannot_be() {
+fn unusable_folders_are_refused() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::create_dir(directory.path().join("taken")).unwrap();
     std::fs::write(directory.path().join("taken/notes.txt"), "").unwrap();
@@ -279,7 +279,7 @@ fn folders_that_cannot_be() {
 }
 
 #[test]
-fn a_recording_counts_once() {
+fn a_recording_that_is_named_twice_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let run = ["run", "--excite", "chirp", "--clock", "virtual", "--out", "chirps"];
     assert!(qube_hil(directory.path(), &run).status.success());

@@ -51,7 +51,7 @@ fn an_error_names_line_and_key() {
 }
 
 #[test]
-fn no_number_of_the_printed_settings_may_be_anything() {
+fn every_number_in_the_settings_has_a_checked_range() {
     let directory = tempfile::tempdir().unwrap();
     let printed = succeeds(directory.path(), &["config", "print"]);
     // The comments with settings that are absent by default count as settings, too.

@@ -122,7 +122,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     let refused = ["--out", "two", "--models", "nominal", "--csv", "foreign.csv"];
     assert_eq!(experiment(whole.path(), &refused).output().unwrap().status.code(), Some(2));
     assert!(!whole.path().join("two").exists(), "an experiment was begun");
-    // A real Qube would not follow what describes an emulated one.
+    // A real Qube would not follow options that describe an emulated one.
     for (option, value) in
         [("--profile", "lab"), ("--gap", "1.5"), ("--vary", "0.1"), ("--plants", "plants.toml")]
     {
@@ -166,7 +166,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
         }
         std::fs::write(policies.join(to), kept).unwrap();
     }
-    // So is the whole folder of a policy in the place of another.
+    // The whole folder of a policy in the place of another is refused, too.
     let recording = "lab/rollout-0-attempt-0.mcap";
     let copied = ["policy.safetensors", recording, "lab/rollout-1-attempt-0.mcap"];
     let kept = copied.map(|file| std::fs::read(policies.join("001").join(file)).unwrap());
@@ -284,7 +284,7 @@ fn shows_its_table_despite_files_in_its_way(updates: u32) -> bool {
     // The program checks the paths of both options before it writes the settings. The test writes
     // files at these paths afterwards, as another program might.
     loop {
-        // It may end between the two questions, so the file is looked for last.
+        // The program may end between the two checks, so the file is looked for last.
         let has_ended = child.try_wait().unwrap().is_some();
         if directory.path().join("one/experiment.toml").exists() {
             break;
@@ -315,7 +315,7 @@ fn shows_its_table_despite_files_in_its_way(updates: u32) -> bool {
 const NARROW: &str = "[settings.safety_box]\nalpha_dot = 0.5\n";
 
 #[test]
-fn methods_that_are_killed_and_gone_on_with_come_to_the_same_table() {
+fn interrupted_and_resumed_methods_give_the_same_table() {
     let arguments = [
         "--strategies",
         "bayrn,random,identify",
@@ -346,8 +346,13 @@ fn methods_that_are_killed_and_gone_on_with_come_to_the_same_table() {
     let text = succeeded(&output);
     assert!(text.contains("tiny on lab"), "{text}");
     // Untrained policies never succeed, and a recording that is cut short cannot identify a Qube.
-    for line in ["bayrn           0/2", "random          0/2", "identify        0/2", "identify: "]
-    {
+    let lines = [
+        "bayrn              0/2",
+        "random             0/2",
+        "identify           0/2",
+        "identify: ",
+    ];
+    for line in lines {
         assert!(text.lines().any(|it| it.starts_with(line)), "{line} in {text}");
     }
     assert!(text.contains("> 3") && text.contains("> 2"), "{text}");
@@ -377,37 +382,23 @@ fn methods_that_are_killed_and_gone_on_with_come_to_the_same_table() {
 
 #[test]
 fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
-    let arguments = [
-        "--strategies",
-        "robust,identify-mean,posterior,sequential,random",
-        "--budgets",
-        "0,1,2",
-        "--recipe",
-        "search.toml",
-        "--plants",
-        "beyond.toml",
-        "--repetitions",
-        "1",
-        "--rollouts",
-        "1",
-        "--trainings",
-        "2",
-        "--seed",
-        "4",
-        "--out",
-        "one",
-    ];
-    let prepare = |directory: &Path| {
+    const LAB: &str = "[[plants]]\nname = \"lab\"\nprofile = \"lab\"\n\n";
+    const CABLE: &str = "[[plants]]\nname = \"cable\"\nprofile = \"lab\"\nplay_deg = 0.5\n\
+                         effects = { hysteresis_n_m = 0.0002, slack = 1.0 }\n";
+    let arguments = |methods: &'static str| {
+        let ending = ["--budgets", "0,1,2", "--recipe", "search.toml", "--plants", "plants.toml"];
+        let sizes = ["--repetitions", "1", "--rollouts", "1", "--trainings", "2"];
+        [&["--strategies", methods][..], &ending, &sizes, &["--seed", "4", "--out", "one"]].concat()
+    };
+    let prepare = |directory: &Path, plants: &[&str]| {
         let text = format!("name = \"tiny\"\nmodel = \"opt-nominal\"\n{TINY}{SEARCH}");
         std::fs::write(directory.join("search.toml"), text).unwrap();
-        let plants = "[[plants]]\nname = \"lab\"\nprofile = \"lab\"\n\n\
-                      [[plants]]\nname = \"cable\"\nprofile = \"lab\"\nplay_deg = 0.5\n\
-                      effects = { hysteresis_n_m = 0.0002, slack = 1.0 }\n";
-        std::fs::write(directory.join("beyond.toml"), plants).unwrap();
+        std::fs::write(directory.join("plants.toml"), plants.concat()).unwrap();
     };
     let whole = tempfile::tempdir().unwrap();
-    prepare(whole.path());
-    let output = experiment(whole.path(), &arguments).args(["--json"]).output().unwrap();
+    prepare(whole.path(), &[LAB, CABLE]);
+    let methods = arguments("robust,identify-mean,posterior,sequential,random");
+    let output = experiment(whole.path(), &methods).args(["--json"]).output().unwrap();
     let result: serde_json::Value = serde_json::from_str(&succeeded(&output)).unwrap();
     let rows: Vec<(String, String)> = result["models"]
         .as_array()
@@ -449,10 +440,24 @@ fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
         assert!(svg.contains(words), "{words}");
     }
 
+    // A method depends neither on other methods nor on other plants, so that an interrupted
+    // experiment with fewer of them has the same files.
     let torn = tempfile::tempdir().unwrap();
-    prepare(torn.path());
-    run_with_interruptions(torn.path(), &arguments);
-    same_files(torn.path(), &names);
+    prepare(torn.path(), &[LAB]);
+    run_with_interruptions(torn.path(), &arguments("robust,posterior,random"));
+    let found = files(&torn.path().join("one"));
+    let of = |files: &BTreeMap<String, Vec<u8>>, method: &str| {
+        let folder = format!("budgets/lab/{method}/");
+        let names = files.keys().filter(|name| name.starts_with(&folder));
+        names.cloned().collect::<Vec<_>>()
+    };
+    for method in ["robust", "posterior", "random"] {
+        let of_method = of(&found, method);
+        assert!(!of_method.is_empty() && of_method == of(&names, method), "{method}");
+        for name in of_method {
+            assert!(found[&name] == names[&name], "{name} differs");
+        }
+    }
 }
 
 #[test]

@@ -101,7 +101,7 @@ fn recordings_of_another_run_are_found_before_the_port_is_touched() {
 }
 
 #[test]
-fn a_port_that_is_none_leaves_nothing_behind() {
+fn an_invalid_port_leaves_no_files() {
     let directory = tempfile::tempdir().unwrap();
     for port in [PORT, "/dev/null"] {
         for more in [&[][..], &["--out", "new/one"]] {

@@ -78,7 +78,7 @@ fn a_rollout_comes_out_again_bit_for_bit() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(json(&output)["recordings"][0]["rmse"]["theta_rad"].is_number());
     assert!(fs::read_to_string(plots.join("rollout-0.svg")).unwrap().starts_with("<svg"));
-    // A profile is simulated without further words.
+    // The option --profile implies --simulate.
     let output = qube_hil(&["replay", "--profile", "lab", "--json", path]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(json(&output)["recordings"][0]["rmse"]["theta_rad"].is_number());
@@ -118,7 +118,7 @@ fn a_rollout_that_foresight_ended_says_for_which_qube() {
 #[test]
 fn a_void_rollout_is_said_to_have_no_result() {
     let folder = tempfile::tempdir().unwrap();
-    let fault = Some("unplug@9".parse().unwrap());
+    let fault = Some("unplug@18".parse().unwrap());
     let emulator = EmulatorSettings { fault, seed: 11, ..EmulatorSettings::default() };
     let rig = Rig::open(&RigSettings::emulated(emulator), &Default::default()).unwrap();
     let controller = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
@@ -163,7 +163,7 @@ fn a_rollout_that_contradicted_its_profile_says_how() {
     let sentence = format!("the guard ended the policy: {contradiction}");
     assert!(text.contains(&sentence), "{text}");
 
-    // A file that tells another contradiction than its ticks.
+    // The outcome of this file names another contradiction than its ticks show.
     let whole = qube_hil::recording::read(&path).unwrap();
     let altered = folder.path().join("altered.mcap");
     let mut writer =
@@ -243,7 +243,7 @@ fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
     assert!(saved["ticks"].as_u64().unwrap() > 100, "{saved}");
     let output = qube_hil(&["replay", "--json", saved["recovered"].as_str().unwrap()]);
     assert_eq!(json(&output)["recordings"][0]["actions_compared"], saved["ticks"]);
-    // Whatever shows a recording says that a part of it is missing.
+    // Each command that shows a recording says that a part of it is missing.
     let saved = saved["recovered"].as_str().unwrap();
     for file in [&cut[..], saved] {
         let exports = folder.path().join("exports");

@@ -1,8 +1,8 @@
 //! Tests the command `soak` with minutes of ticks in virtual time: no tick is lost, and the memory
 //! does not grow. `scripts/durability soak` runs a day of them.
 //!
-//! A day has 8 640 000 ticks, and its memory may grow by 5 MB. The test has 108 000 ticks, most of
-//! them after the warm-up, in which even 8 bytes that are kept of each tick are too many.
+//! A day has 8 640 000 ticks, in which the memory may grow by 5 MB. The test has 108 000 ticks,
+//! most of them after the warm-up; it fails even if only 8 bytes of each tick are kept.
 
 use serde_json::Value;
 

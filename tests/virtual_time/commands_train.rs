@@ -75,7 +75,7 @@ fn stop_at_first_checkpoint(directory: &Path, resumable: &[&str; 2]) -> bool {
 }
 
 #[test]
-fn a_training_that_was_stopped_and_gone_on_with_gives_the_same_policy() {
+fn a_stopped_and_resumed_training_gives_the_same_policy() {
     let directory = tempfile::tempdir().unwrap();
     let checkpoint = directory.path().join("half.safetensors");
     let resumed = directory.path().join("resumed.safetensors");

@@ -140,7 +140,7 @@ struct Counted {
     faults: BTreeMap<String, Vec<u64>>,
     /// Faults after the arm had hit a stop, which is possible without foresight.
     after_a_hit: BTreeMap<String, Vec<u64>>,
-    /// Brakes of the box that had not stopped the arm after a second.
+    /// Seeds of the Qubes whose arm the brake of the box did not slow down in time.
     brakes_timed_out: Vec<u64>,
 }
 
@@ -228,7 +228,7 @@ fn no_fault(first_seed: u64, wanted_ticks: u64) {
 }
 
 #[test]
-fn full_voltage_to_and_fro_raises_no_doubt() {
+fn alternating_full_voltage_raises_no_fault() {
     no_fault(0, 30_000);
 }
 

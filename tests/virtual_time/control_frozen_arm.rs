@@ -1,5 +1,5 @@
-//! Tests that an arm encoder that freezes during a motion is found, and that an arm held by
-//! friction is not taken for one.
+//! Tests that a freeze of the arm's encoder during a motion is found, and that an arm that friction
+//! holds is not taken for a frozen encoder.
 
 use qube_hil::control::{Alarm, ArmInput, SensorWatch};
 use qube_hil::device::emulator::EmulatorSettings;

@@ -11,8 +11,9 @@ use crate::harmless::trial::{Trial, play};
 /// Seeds of the starts of each of the 27 cases: 270 starts in all.
 const SEEDS: std::ops::Range<u64> = 0..10;
 
-/// The shortfalls of the ten starts of a case. The seeds are fixed, so that they come out again; a
-/// change that alters them on purpose also alters the shares in `docs/homing-trials.md`.
+/// The shortfalls of the ten starts of a case. The seeds are fixed, so that each run gives the same
+/// shortfalls; a commit that changes them on purpose also updates the shares in
+/// `docs/homing-trials.md`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Shortfalls {
     /// Starts whose fault is named wrongly or not at all.
@@ -80,8 +81,8 @@ fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
 
 #[test]
 fn qubes_far_from_nominal_are_homed_and_touch_no_stop_hard() {
-    // The first nine were not homed, or touched a stop at up to 8 rad/s, before settling lost gain
-    // and the scale of the encoders allowed for lengths that are 20 % off.
+    // If settling lost no gain, and the scale of the encoders did not allow for lengths that are
+    // 20 % off, the first nine would not be homed, or would touch a stop at up to 8 rad/s.
     let seeds = [1009, 1018, 1020, 1081, 1229, 1244, 1275, 1449, 1984].into_iter().chain(0..10);
     for seed in seeds {
         let start = Start::new(Case::Healthy, seed, Qubes::Far);

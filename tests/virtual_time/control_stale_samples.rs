@@ -155,8 +155,8 @@ fn a_host_that_hangs_between_sample_and_act_sends_no_act() {
     assert!(motion.seen.iter().all(|it| it.status.armed), "25 ms are no reason for the watchdog");
 }
 
-/// The checks of the sensors do not end such a motion: they ignore a sample whose device time is
-/// that of the sample before.
+/// The checks of the sensors do not end such a motion: they ignore a sample that has the same
+/// device time as the sample before.
 #[test]
 fn a_device_that_repeats_one_sample_is_a_fault_in_the_next_tick() {
     let mut device = Fateful::new(|tick| if tick < 30 { Fate::Comes } else { Fate::Repeats });

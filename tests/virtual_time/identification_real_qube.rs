@@ -143,8 +143,8 @@ fn a_model_fitted_to_chirps_and_swing_ups_predicts_swing_ups_that_it_was_not_fit
 }
 
 /// Samples of a real Qube's swing-ups and chirps, at least 10 ms apart, raise no alarm. The
-/// recordings have no current; that of the nominal motor at their voltage and velocity takes its
-/// place.
+/// recordings have no current; the current of the nominal motor at their voltage and velocity takes
+/// its place.
 #[test]
 fn a_real_qube_raises_no_alarm_of_encoders_or_motor() {
     let Some(folder) = recordings() else { return };

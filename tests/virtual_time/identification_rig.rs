@@ -120,7 +120,7 @@ fn assert_lab(found: &Value) {
 /// A recording does not hold the commands that were on their way when it began, and a late Qube has
 /// two of them.
 #[test]
-fn a_late_qube_with_strong_friction_is_no_other_than_its_model() {
+fn a_delayed_qube_with_strong_friction_fits_its_model() {
     let directory = tempfile::tempdir().unwrap();
     let policy = format!("{}/policies/robust.safetensors", env!("CARGO_MANIFEST_DIR"));
     for plant in [["--delay-ms", "18"], ["--gap", "1.5"]] {
@@ -351,7 +351,7 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
     let stderr = String::from_utf8_lossy(&told.stderr);
     assert!(stderr.contains("warning: not used: short.mcap"), "{stderr}");
 
-    // Alone it is no evidence at all; the same holds for the recordings of --holdout.
+    // The command is refused if it can use none of its recordings, or no recording of --holdout.
     for files in [&["short.mcap"][..], &["chirp/rollout-0.mcap", "--holdout", "short.mcap"]] {
         let identify = [&["identify"], files, &["--out", "refused.toml"]].concat();
         let refused = program::qube_hil(directory.path(), &identify);

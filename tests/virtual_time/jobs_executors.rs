@@ -175,8 +175,8 @@ fn a_stop_ends_workers_and_trainings_or_leaves_them() {
     }
 }
 
-/// A disk on which a job file is slow to remove: it waits until somebody else has read the file,
-/// who then hears of it late, or for 0.3 s.
+/// A disk that removes its first job file slowly: the removal waits until another thread has read
+/// the file, or for 0.3 s. The reading thread gets the bytes 0.3 s late.
 #[derive(Debug, Default)]
 struct SlowRemoval {
     is_removing: AtomicBool,

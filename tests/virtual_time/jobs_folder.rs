@@ -71,7 +71,7 @@ fn are_those_of_this_computer(
     }
 }
 
-/// Terms by which a process is dead after half a second without a beat.
+/// Terms by which a process counts as dead after half a second without a beat.
 fn hasty() -> Terms {
     Terms { beat_ms: 50, stale_ms: 500, ..Terms::default() }
 }
@@ -383,7 +383,7 @@ fn a_worker_that_would_train_other_policies_is_refused_by_name() {
 fn a_folder_has_one_coordinator() {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path();
-    // A busy computer may hold up the first coordinator between two beats, but not for so long.
+    // A busy computer may hold up the first coordinator between two beats, but not for 5 s.
     let first = executor_with(root, Terms { stale_ms: 5_000, ..hasty() });
     let terms = fs::read(root.join("folder.json")).unwrap();
     let other = Terms { program: "qube-hil 9.9.9 (beef)".into(), tries: 9, ..hasty() };

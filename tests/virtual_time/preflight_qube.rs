@@ -127,7 +127,7 @@ fn a_defect_is_named_with_a_remedy_and_the_arm_is_not_homed() {
 }
 
 #[test]
-fn a_qube_without_a_module_or_of_another_version_is_no_qube() {
+fn a_board_without_a_qube_or_of_another_version_is_refused() {
     for (fault, word) in [("qube-absent@0", "module id"), ("wrong-version", "version")] {
         let error = Rig::connect(&settings(Some(fault)), &stop()).err().unwrap();
         assert!(error.to_string().contains(word), "{error}");
@@ -238,7 +238,7 @@ fn a_cable_that_is_pulled_is_named_in_each_phase() {
     );
     // The results of the steps before homing stay known.
     let homing =
-        Rig::connect(&settings(Some("unplug@2")), &stop()).unwrap().check(OtherSigns::Fail);
+        Rig::connect(&settings(Some("unplug@6")), &stop()).unwrap().check(OtherSigns::Fail);
     let UnfinishedCheck { results, error } = homing.unwrap_err();
     assert!(matches!(error, RigError::LinkLost { .. }), "{error}");
     let (last, before) = results.split_last().unwrap();

@@ -125,7 +125,7 @@ fn no_verdict_is_wrong_on_many_rigs() {
 #[test]
 fn the_probe_touches_no_stop_hard() {
     for seed in 0..64 {
-        // The wiring is that of the seed's last three bits.
+        // The last three bits of the seed give the wiring.
         let mut settings = rig(seed);
         if (seed + seed / 16) % 2 == 0 {
             settings.model = QubeModel::NOMINAL;

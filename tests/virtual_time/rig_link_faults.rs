@@ -258,7 +258,7 @@ fn a_board_that_restarts_between_two_rollouts_is_homed_again() {
 }
 
 #[test]
-fn a_middle_that_a_hand_has_shown_ends_with_a_restart_of_the_board() {
+fn a_restart_of_the_board_loses_the_middle_of_a_homing_by_hand() {
     let directory = tempfile::tempdir().unwrap();
     let mut rig = after_a_restart(HomingMethod::Hand, directory.path());
     let error = rig.start_again().unwrap_err();
@@ -267,7 +267,7 @@ fn a_middle_that_a_hand_has_shown_ends_with_a_restart_of_the_board() {
 }
 
 #[test]
-fn a_stop_before_a_rollout_is_a_stop_and_no_count_that_has_moved() {
+fn a_stop_request_before_a_rollout_is_not_reported_as_moved_counts() {
     let directory = tempfile::tempdir().unwrap();
     let (clock, stop) = (VirtualClock::default(), stop());
     let rig = Rig::open(&settings(&clock, Trouble::Late(0), 0.0, 0.0), &stop).unwrap();

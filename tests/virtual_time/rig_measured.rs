@@ -226,8 +226,8 @@ fn an_arm_that_swings_on_its_cable_is_not_homed_again() {
     }
 }
 
-/// The cable of `lab` pulls the arm on while nothing is driven, so that it is homed again after a
-/// pause. That is no reason to wait until it is still after each rollout.
+/// The cable of `lab` keeps pulling the arm while nothing is driven, so that the arm is homed again
+/// after a pause. Nevertheless the rig does not wait after each rollout until the arm is still.
 #[test]
 fn an_arm_that_creeps_away_in_a_pause_is_homed_once_and_not_waited_for() {
     let directory = tempfile::tempdir().unwrap();

@@ -92,7 +92,7 @@ fn a_larger_pendulum_is_trained_for_run_within_its_limits_and_replayed() {
 }
 
 #[test]
-fn a_motor_of_higher_resistance_is_no_bad_contact_and_is_found_when_it_is_dead() {
+fn a_high_resistance_motor_passes_and_is_found_when_dead() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("plants/furuta-130.toml");
@@ -119,7 +119,7 @@ fn a_motor_of_higher_resistance_is_no_bad_contact_and_is_found_when_it_is_dead()
     }
 }
 
-/// Each policy is refused on the other plant, before anything is written.
+/// Checks that each policy is refused on the other plant, before anything is written.
 fn check_refusals(directory: &Path) {
     let qube = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors");
     let qube = qube.to_str().unwrap();

@@ -1,7 +1,7 @@
-//! Tests that a Qube that was switched off, or whose emergency stop was opened, moves no more
-//! before somebody has acknowledged it, whenever that happened; that a doubt is stored before the
-//! motion has ended; and that a middle that a hand has shown ends with the count that it was given
-//! in.
+//! Tests that a Qube that was switched off, or whose emergency stop was opened, does not move again
+//! before somebody has acknowledged the doubt, whenever that happened; that a doubt is stored
+//! before the motion has ended; and that the middle of a homing by hand is lost when the arm's
+//! count jumps.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -100,7 +100,7 @@ fn is_doubt(error: &RigError, fault: Fault) {
     assert_eq!(error.fault(), Some(fault), "{error}");
 }
 
-/// Whether a rollout comes out of its recording as it went in.
+/// Checks that the replay of a recording has the ending of the recorded rollout.
 fn replays(path: &Path) {
     let recording = recording::read(path).unwrap();
     let rerun = rerun(&recording, Policy::from_bytes(&recording.policy).unwrap());
@@ -179,7 +179,7 @@ fn a_qube_that_was_switched_off_between_two_rollouts_waits_for_the_operator() {
 }
 
 #[test]
-fn an_emergency_stop_between_two_rollouts_is_no_less_than_one_in_a_rollout() {
+fn an_emergency_stop_between_two_rollouts_leaves_a_doubt() {
     for released in [true, false] {
         let after_s = if released { 60.0 } else { 79.5 };
         let fault = EmulatorFault::EmergencyStop { after_s };
@@ -194,7 +194,7 @@ fn an_emergency_stop_between_two_rollouts_is_no_less_than_one_in_a_rollout() {
 }
 
 #[test]
-fn a_count_that_jumps_between_two_rollouts_ends_a_middle_that_a_hand_has_shown() {
+fn a_count_jump_between_rollouts_loses_the_middle_of_a_homing_by_hand() {
     let fault = EmulatorFault::JumpTheta { after_s: 60.0, counts: 300 };
     let bench = Bench::open(Some(fault), HomingMethod::Hand);
     bench.rollout("a.mcap").unwrap();

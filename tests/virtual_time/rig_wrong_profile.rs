@@ -1,5 +1,5 @@
-//! Tests, in virtual time, what a wrong profile costs: a Qube that moves as its profile does not
-//! predict is guarded as an unknown one from the next rollout on.
+//! Tests, in virtual time, the effect of a wrong profile: a Qube that moves otherwise than its
+//! profile predicts is guarded as an unknown one from the next rollout on.
 
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};

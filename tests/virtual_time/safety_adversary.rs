@@ -30,7 +30,8 @@ fn no_adversary_reaches_the_hard_stop_or_more_than_five_volts() {
     }
 }
 
-/// The search is effective: in the box alone, without foresight, two generations suffice.
+/// Tests that the search is effective: in the box alone, without foresight, two generations
+/// suffice.
 #[test]
 fn in_the_box_alone_the_same_search_hits_at_once() {
     let domain = Domain { safety_box: SafetyBox::THESIS, ..PROMISED };

@@ -42,7 +42,7 @@ impl Device for Undeclared {
     }
 }
 
-/// A transport to such a Qube, which declares hardware or an emulator.
+/// A transport to an [`Undeclared`] Qube; the transport declares hardware or an emulator.
 #[derive(Debug)]
 struct Way {
     declares_emulated: bool,
@@ -60,7 +60,7 @@ impl Connect for Way {
     }
 }
 
-/// A transport to such a Qube, which declares nothing either.
+/// A transport to an [`Undeclared`] Qube; the transport declares nothing either.
 #[derive(Debug)]
 struct SilentWay;
 
@@ -189,14 +189,14 @@ fn a_rig_on_hardware_refuses_a_wider_box_whoever_asks() {
     );
 }
 
-/// A recording of the time when a box had no guard to name.
+/// A recording of an older program, whose box names no guard.
 fn recording_without_guard() -> Vec<u8> {
     let fixtures = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures");
     std::fs::read(fixtures.join("names_no_guard.mcap")).unwrap()
 }
 
 #[test]
-fn files_that_name_no_guard_mean_the_box_as_they_ran() {
+fn files_without_a_guard_mean_the_box_alone() {
     let bytes = recording_without_guard();
     assert!(!bytes.windows(7).any(|word| word == b"\"guard\""), "the recording names a guard");
     let recording = parse(&bytes).unwrap();

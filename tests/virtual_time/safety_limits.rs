@@ -65,7 +65,7 @@ fn a_configuration_widens_nothing() {
 }
 
 #[test]
-fn both_words_on_one_command_line_lead_to_the_port() {
+fn guard_box_with_accept_hard_stop_is_accepted() {
     let directory = tempfile::tempdir().unwrap();
     let both = ["--guard", "box", "--accept-hard-stop"];
     let port = ["no such port", "/dev/ttyNOWHERE"];
@@ -275,7 +275,7 @@ fn a_rigs_own_file_widens_nothing() {
     ] {
         let wider = [format!("{}", 1.001 * widest), "500".to_owned()];
         let no_limits = NO_LIMITS.map(str::to_owned).into_iter().filter(|value| {
-            // Some of these numbers are limits of a velocity.
+            // Some of these numbers are within the limit of a velocity.
             !value.parse::<f64>().is_ok_and(|value| value > 0.0 && value <= widest)
         });
         for value in no_limits.chain(wider) {

@@ -1,4 +1,5 @@
-//! Tests that a session goes on searching after a policy that balances but buzzes.
+//! Tests that a session goes on searching after a policy that balances but buzzes: its voltage
+//! changes by more, or changes its sign more often, than `Quietness::is_loud` accepts.
 
 use std::sync::Arc;
 

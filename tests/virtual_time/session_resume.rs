@@ -80,7 +80,7 @@ fn ledger(directory: &Path, name: &str) -> Vec<u8> {
     std::fs::read(directory.join(name).join("ledger.jsonl")).unwrap_or_default()
 }
 
-/// The entries of a ledger without the first: the checksum of the settings, which include the
+/// The entries of a ledger without the first, which has the checksum of settings that contain the
 /// session's name.
 fn decisions(ledger: &[u8]) -> Vec<Entry> {
     let mut entries = parse_ledger(ledger).unwrap().entries;
@@ -156,7 +156,7 @@ fn is_stopped_and_resumed(kind: Signal, expected: i32, updates: u32) -> bool {
     let directory = tempfile::tempdir().unwrap();
     let mut child = begin(directory.path(), "stopped", updates);
     let has_ended = loop {
-        // It may end between the two questions, so the ledger is looked for last.
+        // The session may end between the two checks, so the ledger is looked for last.
         let has_ended = child.try_wait().unwrap().is_some();
         if !ledger(directory.path(), "stopped").is_empty() {
             break has_ended;
@@ -419,7 +419,7 @@ fn a_session_goes_on_with_the_guard_and_the_homing_that_it_began_with() {
 }
 
 #[test]
-fn a_resumed_session_guards_an_unidentified_qube_as_one() {
+fn a_session_begun_unidentified_is_resumed_unidentified() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("small.toml"), small(UPDATES[0])).unwrap();
     let begin = ["--config", "small.toml", "--out", "mine", "--unidentified"];

@@ -139,7 +139,7 @@ fn each_of_two_qubes_has_a_session_of_its_own() {
     let report = command_in(directory.path()).args(["report", "two"]).output().unwrap();
     let told = String::from_utf8_lossy(&report.stderr);
     assert!(report.status.code() == Some(2) && told.contains("as two/rig-1"), "{told}");
-    // A number of Qubes that differs from that at the start is refused.
+    // A number of Qubes that differs from the number at the start is refused.
     let alone = ended(directory.path(), &["--resume", "two", "--device", "emulated"]);
     let told = String::from_utf8_lossy(&alone.stderr);
     assert_eq!(alone.status.code(), Some(2), "{told}");
@@ -448,7 +448,7 @@ impl Connect for OwnBoard {
 }
 
 #[test]
-fn an_acknowledgement_is_for_the_doubt_about_one_of_several_qubes() {
+fn an_acknowledgement_ends_the_doubt_about_one_qube_only() {
     let directory = tempfile::tempdir().unwrap();
     let doubts = DoubtStore::new(directory.path().join("doubts"));
     let boards = [7, 8].map(|board| format!("{board:016x}"));

@@ -11,7 +11,7 @@ const SMALL: &str = "[extent]\ninitial_candidates = 1\niterations = 0\nrollouts 
     verification_rollouts = 1\n[training]\nupdates = 1\nnum_envs = 16\nepochs = 1\n";
 
 #[test]
-fn the_service_manager_is_told() {
+fn a_session_notifies_systemd_of_start_progress_and_end() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
@@ -80,7 +80,7 @@ fn seconds(section: &str, name: &str) -> u64 {
 const DEFAULT_START_TIMEOUT_S: u64 = 90;
 
 #[test]
-fn a_loop_of_crashes_ends() {
+fn systemd_stops_restarting_a_session_that_crashes_repeatedly() {
     let (interval, burst) =
         (seconds("Unit", "StartLimitIntervalSec"), seconds("Unit", "StartLimitBurst"));
     // The longest life of a session that only checks, homes and hangs: the manager's timeout for

@@ -128,7 +128,7 @@ fn compare(path: &Path) {
         println!("{name}: objective after fitting minus theirs {advantage:+.2e} (seed {seed})");
     }
 
-    // BoTorch's acquisition optimum is that at its fitted hyperparameters.
+    // BoTorch's acquisition optimum belongs to its fitted hyperparameters.
     let process = process_at(&data, fixture.kernel, &theirs.hyperparameters);
     let acquisition = OnProcess {
         process: &process,

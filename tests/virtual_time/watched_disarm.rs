@@ -25,17 +25,17 @@ pub struct Timed {
     pub stalls: Arc<AtomicBool>,
 }
 
-/// A folder of doubts in which one is to appear before the motor is switched off.
+/// A folder of doubts in which a doubt is to appear before the motor is switched off.
 #[derive(Clone, Debug)]
 pub struct AwaitedDoubt {
     pub doubts: PathBuf,
-    /// Time by the Qube before which no doubt is expected, ns.
+    /// Virtual time before which no doubt is expected, ns.
     pub from_ns: Nanoseconds,
     pub has_come: Arc<AtomicBool>,
 }
 
 impl AwaitedDoubt {
-    /// Waits for it for at most [`PATIENCE`], because another thread stores it.
+    /// Waits for the doubt for at most [`PATIENCE`], because another thread stores it.
     fn wait(&self) {
         let begun = Instant::now();
         while !has_files(&self.doubts) && begun.elapsed() < PATIENCE {

@@ -194,7 +194,8 @@ impl Files {
 }
 
 impl WrittenFile {
-    /// Saves what the examination has found.
+    /// Saves the file with port, board and signs of the examined Qube, and with the measured time
+    /// of the library's watchdog, if there is one.
     fn save(&self, rig: &Rig, examination: &Examination) -> Result<(), Failure> {
         let serial = &rig.identity().serial;
         if self.base.board.as_ref().is_some_and(|board| board != serial) {

@@ -38,9 +38,9 @@ const REPLUG: Duration = Duration::from_secs(120);
 const MAY_HAVE_VOLTAGE: &str =
     "If the USB plug is still out, switch the Qube off: its motor may still have its voltage";
 
-/// Words after Ctrl-C before the plug is pulled.
+/// Words after Ctrl-C before the operator is asked to pull the plug.
 const STOPPING: &str = "stopping: the motor is switched off, and no result is written";
-/// Words after Ctrl-C from the request to pull the plug on.
+/// Words after Ctrl-C once the operator has been asked to pull the plug.
 const STOPPING_WITHOUT_BOARD: &str = "stopping: no result is written. If the USB plug is out, switch \
     the Qube off: its motor may still have its voltage";
 

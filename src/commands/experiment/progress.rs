@@ -38,7 +38,7 @@ pub struct ExperimentProgress {
 /// The number of updates of the trainings of an experiment.
 struct UpdatesOfTrainings {
     by_recipe: BTreeMap<String, u32>,
-    /// Number for every other name, such as that of a method: that of the first recipe.
+    /// Number for every other name, such as a method's: the number of the first recipe.
     of_first_recipe: u32,
 }
 

@@ -25,12 +25,12 @@ pub struct Predictions {
     /// The band that contains 90 % of the errors in the fitted recordings; `None` if these are too
     /// short for a prediction.
     pub band: Option<PredictionBand>,
-    /// How many of the errors in the held-out recordings are within the band; `None` without a band
-    /// or without such errors.
+    /// The shares of the errors in the held-out recordings that are within the band; `None` without
+    /// a band or without such errors.
     pub within: Option<WithinBand>,
 }
 
-/// How many of the errors in held-out recordings are within the band of the fitted ones.
+/// The shares of the errors in held-out recordings that are within the band of the fitted ones.
 #[derive(Clone, Copy, Debug)]
 pub struct WithinBand {
     /// Share of the errors of theta and of alpha.

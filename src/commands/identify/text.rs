@@ -8,8 +8,8 @@ use crate::identification::{
 };
 use crate::qube::PlantModel;
 
-/// The whole result for people: estimates, what they hide, predictions, verdict, and the next
-/// excitation.
+/// The whole result for people: estimates with their correlations, the cable's rest angles,
+/// predictions, verdict, and the next excitation.
 pub fn text(
     identified: &Identified,
     fitted_files: &[PathBuf],

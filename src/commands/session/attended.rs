@@ -1,5 +1,5 @@
-//! The frame of every session: it runs while an operator attends, and prints what it has reached,
-//! whatever ended it.
+//! The frame of every session: runs it while an operator attends, and prints its results, whatever
+//! ended it.
 
 use std::time::Instant;
 
@@ -57,7 +57,7 @@ pub struct AttendedSession<'a> {
 }
 
 impl AttendedSession<'_> {
-    /// Runs the session to its end and prints what it has reached; `show` shows each event.
+    /// Runs the session to its end and prints its results; `show` shows each event.
     /// `complete` adds entries to the results that `--json` prints; the command began at `started`.
     /// A session that was refused before its first decision has no results and leaves no folder
     /// behind.
@@ -86,8 +86,8 @@ impl AttendedSession<'_> {
     }
 }
 
-/// Runs a session to its end. A doubt about the motor is put to the operator, and the session goes
-/// on if the operator has looked at the Qube.
+/// Runs a session to its end. After a fault that leaves a doubt, the operator is asked, and the
+/// session goes on if the operator has looked at the Qube.
 fn run_attended(
     session: &mut Session,
     keyboard: &Keyboard,
@@ -111,7 +111,7 @@ fn run_attended(
 /// Whether a session was refused before its first decision, so that it has no results. Any other
 /// session shows its finished work.
 pub fn is_refused(session: &Session, ended: &Result<(), Failure>) -> bool {
-    ended.as_ref().is_err_and(Failure::is_usage) && !session.has_decided()
+    ended.as_ref().is_err_and(Failure::is_usage) && !session.has_proposed()
 }
 
 /// The results of a session.

@@ -10,7 +10,7 @@ use crate::rig::RigSettings;
 use crate::session::SessionSettings;
 use crate::simulation::SensorModel;
 
-/// Prints what the operator may not expect of these settings: the method that a file chose, and an
+/// Prints notes on settings that the operator may not expect: the method that a file chose, and an
 /// estimator other than in training.
 pub fn print_notes(arguments: &Arguments, settings: &SessionSettings) {
     let notes = [method_note(arguments, settings), estimators_differ(settings)];

@@ -346,8 +346,8 @@ fn proposed(candidate: u32, purpose: Purpose, why: &str, counts: &CandidateCount
 }
 
 /// The end of a proposal's line that says how much time is left, or at most is left in a search
-/// that may end early; empty if it is not known. It is not known of such a search once a policy is
-/// verified or compared: this may be the last candidate.
+/// that may end early; empty if the time is not known, as in such a search once a policy is
+/// verified or compared, because this may be the last candidate.
 fn left_in_all(left: Option<Duration>, purpose: Purpose, counts: &CandidateCounts) -> String {
     let Some(left) = left.map(in_words) else { return String::new() };
     match counts.total {

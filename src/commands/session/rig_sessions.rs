@@ -67,8 +67,8 @@ pub fn run(
     let consent = arguments.consent.with_guard(arguments.guard)?;
     let begins = arguments.resume.is_none();
     let mut place = None;
-    // Held to the end: another command must not take sessions that begin for the leftovers of a
-    // kill.
+    // Held to the end, so that another command does not take these sessions, while they begin, for
+    // the remains of killed ones.
     let mut _root_lock = None;
     let (root, sessions) = match &arguments.resume {
         Some(root) => (root.clone(), resume_all(arguments, root, &devices)?),

@@ -119,7 +119,8 @@ pub fn emulated_of(
     }
 }
 
-/// The folder of a new session, or of several, on these devices, each of which can be opened.
+/// Makes the folder of a new session, or of several, after a check that each of these devices can
+/// be opened.
 pub fn new_folder(
     arguments: &Arguments,
     devices: &[ChosenDevice],

@@ -297,8 +297,8 @@ fn digits(space: &PsiSpace, point: &[f64]) -> String {
         .join(" ")
 }
 
-/// How many rollouts of the best policy balance and what that says of others; if some do not, how
-/// they ended.
+/// The number of rollouts of the best policy that balance, with the 95 % interval of its rate of
+/// success, and the endings of the rollouts that do not balance.
 fn verified(scored: &ScoredCandidate) -> String {
     let (successes, rollouts) = (scored.successes(), scored.verdicts.len());
     let Interval { lower, upper } = wilson_interval(successes, rollouts);

@@ -44,8 +44,8 @@ pub struct Board {
     now_us: u64,
     /// Time at which the program started, us; the program's clock counts from here.
     booted_us: u64,
-    /// Time until which no program runs, us; `u64::MAX` is for ever, and `None` means that it runs.
-    /// Meanwhile the Qube keeps its last motor command.
+    /// Time until which the program does not run, us; `u64::MAX` is for ever, and `None` means that
+    /// the program runs. While it does not, the Qube keeps its last motor command.
     dark_until_us: Option<u64>,
     state: DeviceState,
     /// Nonce for the next arm; 0 is none.

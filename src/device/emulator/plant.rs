@@ -259,11 +259,14 @@ impl EmulatedPlant {
         let is_carried = self.next_finger_us == finger.from_us.max(1);
         self.next_finger_us += finger.every_us.max(1);
         let state = self.state;
-        let [_, stop_rad] = self.stops_rad;
+        let [lowest_rad, highest_rad] = self.stops_rad;
         let rad_per_count = self.encoders.theta.rad_per_count();
+        let near_rad = 10.0 * rad_per_count;
+        let is_at_stop =
+            state.theta <= lowest_rad + near_rad || state.theta >= highest_rad - near_rad;
         if is_carried {
-            self.state = State { theta: stop_rad, theta_dot: 0.0, ..state };
-        } else if state.theta.abs() >= stop_rad - 10.0 * rad_per_count {
+            self.state = State { theta: highest_rad, theta_dot: 0.0, ..state };
+        } else if is_at_stop {
             let off_rad = f64::from(finger.counts) * rad_per_count;
             self.state.theta = state.theta - off_rad.copysign(state.theta);
             self.state.theta_dot = 0.0;

@@ -237,9 +237,9 @@ fn wake(counter: &OwnedFd) -> bool {
     }
 }
 
-/// Serves requests and operations until [`CardOperation::End`] has been served, or no request can
-/// be noticed any more. At the end it switches the amplifier off, if the card still obeys, and
-/// closes the card.
+/// Serves requests and operations until [`CardOperation::End`] has been served, or the counter
+/// `asked` cannot be read any more. At the end it switches the amplifier off, if the card still
+/// obeys, and closes the card.
 fn serve(
     mut panel: Panel,
     shared: &Shared,

@@ -190,7 +190,7 @@ impl Panel {
         }
         let asked_ns = self.clock.now_ns();
         match card.read() {
-            // A velocity or a current that is no number would count as none and weaken the watches.
+            // The watches cannot judge a velocity or a current that is not a finite number.
             Ok(channels) if channels.are_numbers() => self.store(&channels),
             _ if self.amplifier == AmplifierState::Armed && card.watchdog_is_expired() => {
                 self.amplifier = AmplifierState::Tripped;

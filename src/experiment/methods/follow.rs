@@ -62,8 +62,8 @@ impl Experiment {
         let place = settings.plants.iter().position(|it| it.name == plant.name);
         let place = place.filter(|_| of_each_plant).unwrap_or_default();
         let purpose = SeedFor::Repetition { plant: place as u32, repetition: number };
-        // Counts only the plants that are drawn, so that a single one is drawn as before this
-        // number was counted.
+        // Counts only the plants that are drawn, so that a single drawn plant has the same Qubes
+        // wherever it is in the list.
         let drawn_before = settings.plants[..place].iter().filter(|it| it.vary > 0.0).count();
         let emulated = plant.for_policy(settings.seed, number, drawn_before as u32);
         MethodRun {

@@ -63,8 +63,8 @@ pub(super) enum Width {
 /// The origin of a run's recordings after the first recording, which is always an excitation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Further {
-    /// Further excitations: those that are expected to tell most after the recordings so far, or
-    /// chirps where these identify no Qube.
+    /// Further excitations: each is expected to tell most about the Qube after the recordings so
+    /// far, or is a chirp where these identify no Qube.
     Excitations,
     /// Rollouts of policies, each trained by the recommendation after the recordings so far, or in
     /// the distribution `robust` where these identify no Qube.
@@ -135,8 +135,8 @@ impl<'a> FromRecordings<'a> {
         }
     }
 
-    /// The recordings among the first `recordings` that identify the Qube, by the rule of the
-    /// command `identify`. Void recordings are left out.
+    /// The recordings among the first `recordings` that a fit may use, by the rule of the command
+    /// `identify`. Void recordings are left out.
     fn usable(&self, recordings: u32) -> Result<Usable, ExperimentError> {
         let (mut paths, mut left_out) = (Vec::new(), Vec::new());
         for number in 0..recordings {
@@ -164,8 +164,8 @@ impl<'a> FromRecordings<'a> {
         Ok(Usable::Used { logs: fittable.logs, boards: fittable.boards, left_out })
     }
 
-    /// Identifies the Qube from the first `recordings` recordings, and names those that are left
-    /// out.
+    /// Identifies the Qube from the first `recordings` recordings, and names the recordings that
+    /// are left out.
     fn fit(&self, recordings: u32) -> Result<Fit, ExperimentError> {
         let (logs, boards, left_out) = match self.usable(recordings)? {
             Usable::Used { logs, boards, left_out } => (logs, boards, left_out),

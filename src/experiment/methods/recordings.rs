@@ -44,8 +44,8 @@ impl<'a> MethodRecordings<'a> {
         self.run.recordings()
     }
 
-    /// The folder as one of rollouts. The methods of a repetition share it, and each may have made
-    /// its recordings.
+    /// The recordings' folder as a [`RolloutFolder`]. It names no policy, because excitations and
+    /// several policies may have made the recordings.
     fn rollouts(&self) -> RolloutFolder {
         RolloutFolder { path: self.folder(), policy: None }
     }

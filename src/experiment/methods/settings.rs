@@ -29,8 +29,8 @@ pub struct MethodSettings {
     /// kept.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub trainings: u32,
-    /// Whether a repetition has the same seed on all plants. Files without this entry are older and
-    /// have.
+    /// Whether a repetition has the same seed on all plants. In older files, which lack this entry,
+    /// it has.
     #[serde(default)]
     pub seeds: RepetitionSeeds,
 }
@@ -39,11 +39,11 @@ pub struct MethodSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RepetitionSeeds {
-    /// The same on all plants: a method without real rollouts then trains the same policy on each
-    /// plant, and results on all plants together are not independent.
+    /// The same seed on all plants: a method without real rollouts then trains the same policy on
+    /// each plant, and results on all plants together are not independent.
     #[default]
     SameOnAllPlants,
-    /// Another one on each plant.
+    /// Another seed on each plant.
     OfEachPlant,
 }
 

@@ -9,7 +9,7 @@ use super::{Heartbeat, HeartbeatState, HeartbeatWatch, Holder, JobFolder};
 /// The place of a process among the coordinators of a folder.
 #[derive(Debug)]
 pub struct Coordinator {
-    /// Number of the coordinator, from 0; that of a successor is higher.
+    /// Number of the coordinator, from 0; a successor has a higher number.
     pub number: u32,
     /// File that grows while the coordinator lives.
     pub heartbeat: Heartbeat,
@@ -18,8 +18,9 @@ pub struct Coordinator {
 impl JobFolder {
     /// Takes the folder for one coordinator, whose terms hold from then on. If the last coordinator
     /// has written no ending and ran on another computer, before this computer's last start or in
-    /// another PID namespace, this waits until its heartbeat file grows, which is an error, or
-    /// counts as stale by its own terms and by those of this process.
+    /// another PID namespace, the function waits until that coordinator's heartbeat file either
+    /// grows, which is an error, or counts as stale by the written terms and by the terms of this
+    /// process.
     ///
     /// # Errors
     /// Another coordinator lives, `stop` was set during the wait, or a file operation fails.
@@ -28,7 +29,7 @@ impl JobFolder {
         holder: &Holder,
         stop: &AtomicBool,
     ) -> Result<Coordinator, JobFolderError> {
-        // The last coordinator beats as often as the terms ask that it has written.
+        // The last coordinator beats at the interval of the terms that it has written.
         let of_last = self.written_terms()?.map_or(Duration::ZERO, |terms| terms.stale());
         let mut watch = HeartbeatWatch::new(holder.clone(), self.terms().stale().max(of_last));
         let begun = std::time::Instant::now();

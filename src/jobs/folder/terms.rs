@@ -27,7 +27,8 @@ pub struct Terms {
 }
 
 impl Default for Terms {
-    /// A minute without a beat, and three tries.
+    /// The default terms: a process counts as dead after a minute without a beat, and a job is
+    /// given up after three failed tries.
     fn default() -> Self {
         Self::new(Duration::from_secs(60), 3)
     }

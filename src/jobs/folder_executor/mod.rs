@@ -1,6 +1,6 @@
 //! The executor by workers that share a folder: the callers' side ([`FolderExecutor`]), the jobs
-//! that they want the results of ([`wanted_jobs`]), and the thread that watches the folder for them
-//! ([`folder_watch`]).
+//! whose results the callers want ([`wanted_jobs`]), and the thread that watches the folder for the
+//! callers ([`folder_watch`]).
 
 mod folder_watch;
 mod patient_caller;

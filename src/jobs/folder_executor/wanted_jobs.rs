@@ -14,8 +14,8 @@ use crate::jobs::worker_pool::NoWorkers;
 use crate::jobs::{JobError, JobFolderError, TrainingJob};
 use crate::learning::Trained;
 
-/// The jobs that callers of an executor want the results of, which the callers' threads and the
-/// thread that watches the folder share.
+/// The jobs whose results the callers of an executor want. The callers' threads and the thread that
+/// watches the folder share this value.
 #[derive(Debug)]
 pub(super) struct WantedJobs {
     pub(super) folder: JobFolder,

@@ -9,10 +9,10 @@ use thiserror::Error;
 use super::{StartError, Starter, WorkerCount, log_folder};
 use crate::jobs::folder::JobFolder;
 
-/// Time after the request to end within which a start must end; after it, the start is killed.
+/// Longest time from the request to end until a command has ended; after it, the command is killed.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
-/// Time between two looks at starts that are to end.
+/// Time between two looks at commands that are to end.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// A starter that runs a shell command of the user's, such as GNU parallel over ssh.
@@ -25,12 +25,12 @@ pub struct CommandStarter {
     appeared: u32,
 }
 
-/// A start of several workers.
+/// A start of several workers: one run of the command.
 #[derive(Debug)]
 struct Start {
     child: Child,
     workers: u32,
-    /// Number of workers that had appeared when it began.
+    /// Number of workers that had appeared when the command began.
     appeared_before: u32,
     /// Whether the command has failed.
     has_failed: bool,
@@ -80,7 +80,7 @@ pub fn quoted(text: &str) -> String {
 /// Whether a shell would take the text for several words, or for something else, without quotes.
 #[must_use]
 pub fn needs_quotes(text: &str) -> bool {
-    // Letters beyond ASCII, other than blanks, mean nothing to a shell.
+    // Letters beyond ASCII, other than blanks, have no special meaning to a shell.
     let is_special = |letter: char| match letter.is_ascii() {
         true => !is_plain(letter),
         false => letter.is_whitespace(),
@@ -144,8 +144,9 @@ impl Starter for CommandStarter {
             }
         }
         self.appeared = appeared;
-        // The workers that appeared after a start, before the next one, are taken for those of that
-        // start. Those of a failed start are not expected, so they do not count as appeared either.
+        // The workers that appeared after a start and before the next one are taken for workers of
+        // that start. Workers of a failed start are not expected, so they do not count as appeared
+        // either.
         let ends = self.starts.iter().skip(1).map(|start| start.appeared_before);
         let (mut to_appear, mut of_failed) = (0, 0);
         for (start, end) in self.starts.iter().zip(ends.chain([appeared])) {
@@ -155,7 +156,7 @@ impl Starter for CommandStarter {
                 to_appear += start.workers;
             }
         }
-        // Those that had appeared before the first start belong to none of the starts.
+        // Workers that had appeared before the first start belong to none of the starts.
         let before = self.starts.first().map_or(appeared, |start| start.appeared_before);
         let expected =
             alive + to_appear.saturating_sub(appeared.saturating_sub(before + of_failed));

@@ -84,7 +84,7 @@ impl Writer {
         self.node(operator, &[&last, &constant], output, &[]);
     }
 
-    /// Adds the nodes of the activation function behind the layer of this number.
+    /// Adds the nodes of the activation function that follows the layer of this number.
     fn activation(&mut self, activation: Activation, layer: usize) {
         let (last, output) = (self.last.clone(), format!("active_{layer}"));
         match activation {

@@ -117,8 +117,8 @@ impl<'a> TestHost<'a> {
         Ok(sequence)
     }
 
-    /// Returns the next frame; `None` if none is complete by the deadline. Bytes that have arrived
-    /// by then are read also by a computer that is late, once; bytes that form no frame do not
+    /// Returns the next frame; `None` if none is complete by the deadline. If the computer is late,
+    /// the bytes that have arrived by then are still read, once. Bytes that form no frame do not
     /// delay the end.
     fn next_frame(&mut self, deadline_ns: Nanoseconds) -> Result<Option<Frame>, LinkFault> {
         let mut buffer = [0; 256];

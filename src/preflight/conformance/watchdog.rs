@@ -17,7 +17,7 @@ const PAUSE_NS: u64 = 1_000_000;
 const LONGEST_NS: Nanoseconds = 5_000_000_000;
 
 /// Fails if [`LONGEST_NS`] had passed since `begin_ns` when a sample was requested at `asked_ns`.
-/// A check calls it with a sample by whose own clock the check should go on, so that a device
+/// A check calls this function after a sample by whose time the check goes on, so that a device
 /// whose clock stands still does not keep the check from ending, with the motor on.
 fn ensure_clock_runs(begin_ns: Nanoseconds, asked_ns: Nanoseconds) -> Result<(), Deviation> {
     ensure!(

@@ -121,7 +121,7 @@ pub fn examine(
     };
     let mut examined =
         ExaminedDevice { device: &mut *device, clock, stop, port: &settings.identity.port };
-    let outcome = look_at_everything(&mut examined, heat, settings, &mut found);
+    let outcome = run_checks(&mut examined, heat, settings, &mut found);
     // A hello switches off a device that still answers; one whose emergency stop was opened is off.
     let left_off = device.hello();
     match outcome {
@@ -131,7 +131,7 @@ pub fn examine(
     }
 }
 
-fn look_at_everything(
+fn run_checks(
     examined: &mut ExaminedDevice<'_>,
     heat: &mut MotorHeat,
     settings: &ExaminationSettings,
@@ -298,6 +298,61 @@ mod tests {
         let late_ns = device.greeted_ns - device.stopped_ns.unwrap();
         assert!(late_ns < 40_000_000, "{late_ns} ns");
         assert!(!device.sample(clock.now_ns() + 20_000_000).unwrap().status.armed);
+    }
+
+    /// An emulated board whose samples are lost from the second one after an act until 0.1 s after
+    /// it.
+    struct LosesSamples {
+        board: Box<dyn Device>,
+        clock: VirtualClock,
+        acted_ns: Option<Nanoseconds>,
+        samples_since_act: u32,
+    }
+
+    impl Device for LosesSamples {
+        fn hello(&mut self) -> Result<Identity, DeviceError> {
+            self.acted_ns = None;
+            self.board.hello()
+        }
+
+        fn arm(&mut self) -> Result<(), DeviceError> {
+            self.board.arm()
+        }
+
+        fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
+            self.samples_since_act += 1;
+            let lost_until_ns = self.acted_ns.map_or(0, |acted_ns| acted_ns + 100_000_000);
+            if self.samples_since_act > 1 && self.clock.now_ns() < lost_until_ns {
+                self.clock.sleep_until(deadline_ns);
+                return Err(LinkFault::Timeout);
+            }
+            self.board.sample(deadline_ns)
+        }
+
+        fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+            (self.acted_ns, self.samples_since_act) = (Some(self.clock.now_ns()), 0);
+            self.board.act(voltage_mv, sampled_at_us)
+        }
+
+        fn disarm(&mut self) -> Result<(), DeviceError> {
+            self.board.disarm()
+        }
+    }
+
+    #[test]
+    fn a_watchdog_that_is_not_seen_to_trip_in_time_does_not_pass() {
+        let clock = VirtualClock::default();
+        let board = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
+        let mut device = LosesSamples {
+            board: Box::new(board),
+            clock: clock.clone(),
+            acted_ns: None,
+            samples_since_act: 0,
+        };
+        let settings = settings(device.hello().unwrap());
+        let (heat, stop) = (&mut MotorHeat::default(), AtomicBool::new(false));
+        let found = examine(&mut device, &clock, heat, &stop, &settings).unwrap().unwrap();
+        assert!(watchdog_failed(&found.results), "{:#?}", found.results);
     }
 
     fn settings(identity: Identity) -> ExaminationSettings {

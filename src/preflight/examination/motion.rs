@@ -49,8 +49,8 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
     found.results.extend(names.iter().map(|name| CheckResult::skipped(name, why)));
 }
 
-/// Reports the fault that ended a push, as the failure of one check too, and the other checks that
-/// move the arm as skipped.
+/// Records the fault that ended a push, reports one check as failed by it, and reports the other
+/// checks that move the arm as skipped.
 fn give_up(found: &mut Examination, fault: Fault) {
     let value = format!("a fault ended the push: {fault}");
     let remedy = format!("{} Then check again", fault.operator_step());
@@ -138,7 +138,7 @@ struct Pushes<'a, 'd> {
     signs: Calibration,
     /// Evidence from the pushes.
     evidence: Evidence,
-    /// Window after the last push that moved something; before it, the one before all pushes.
+    /// Window after the last push that moved something; until then, the window before all pushes.
     at_rest: Option<Window>,
     /// Number of further pushes because the encoders may be exchanged.
     doubtful: u32,
@@ -154,7 +154,7 @@ enum PushEnding {
 
 /// The next step after equal pushes.
 enum AfterPushes {
-    /// The next push is another one.
+    /// The next push has another direction or voltage.
     NextPush,
     /// The evidence suffices.
     Enough,

@@ -206,7 +206,7 @@ mod tests {
         }
     }
 
-    /// A Qube at rest whose samples are those of the function of their number.
+    /// A Qube at rest whose samples a function gives by their number.
     struct Sampled<F>(VirtualClock, u32, F);
 
     impl<F: Fn(u32) -> Result<Measurement, LinkFault> + Send> Device for Sampled<F> {

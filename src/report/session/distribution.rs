@@ -11,8 +11,9 @@ use crate::report::page::{Cell, Page};
 use crate::session::{ScoredCandidate, SessionSettings};
 use crate::simulation::{DomainDistribution, Model, PsiError};
 
-/// Adds the distribution of the best verified policy, or before a verification that of the searched
-/// candidate with the best mean return so far; adds nothing without either.
+/// Adds the distribution in which the best verified policy was trained or, before a verification,
+/// the policy of the searched candidate with the best mean return so far; adds nothing without
+/// either.
 pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     let verified = ScoredCandidate::best_verified(&source.candidates);
     let searched = || source.candidates.iter().filter(|it| it.candidate.purpose.is_searched());
@@ -69,8 +70,8 @@ fn in_order() -> Vec<Quantity> {
     first.into_iter().chain(others).collect()
 }
 
-/// Adds a chart of each quantity that is spread: `drawn` from the distribution, and, where it
-/// differs, from the one `base` before the search.
+/// Adds a chart of each quantity that is spread: its draws `drawn` from `distribution` and, where
+/// they differ, its draws from `base`, the distribution before the search.
 fn add_densities(
     page: &mut Page,
     distribution: &DomainDistribution,
@@ -149,8 +150,9 @@ enum UnknownDistribution {
     Psi(#[from] PsiError),
 }
 
-/// Finds the distribution in which the policy of this candidate was trained, by the record in its
-/// file: as candidate number `trained_as`.
+/// Finds the distribution in which the policy of this candidate was trained: for a policy without
+/// psi from the model that its file names, otherwise from the settings of the search at the
+/// proposal of candidate `trained_as`, whose training made the policy.
 ///
 /// # Errors
 /// The distribution is unknown.

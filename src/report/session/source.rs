@@ -53,8 +53,8 @@ pub struct SessionSource {
     pub(super) observer_resets: u64,
     /// Motions beside which the identified Qube is simulated.
     pub(super) motions: Vec<ComparedMotion>,
-    /// Number of rollouts of each kind that have a motion: by whether the last profile before the
-    /// end of the search was fitted to it, for rollouts that are no excitations.
+    /// Number of rollouts of policies, without excitations, that have a motion, by whether the last
+    /// profile before the end of the search was fitted to the motion.
     pub(super) comparable: BTreeMap<bool, usize>,
     /// Number of motions added so far that inform the method and can be fitted.
     fittable: usize,
@@ -284,9 +284,9 @@ impl SessionSource {
         next_step(&self.state, extent, identification.as_ref()) == Step::Done
     }
 
-    /// The settings of the search at the proposal of this candidate, or without one the latest.
-    /// They vary the profile identified by then, or equal the session's settings if none was
-    /// identified. `None` if this or the first profile cannot be read.
+    /// The settings of the search at the proposal of this candidate, or without one the latest
+    /// settings. The search is around the profile that was identified by then; if none was, the
+    /// settings are the session's. `None` if that profile or the first one cannot be read.
     pub(super) fn search_settings(&self, candidate: Option<u32>) -> Option<SessionSettings> {
         let proposed = candidate.and_then(|it| self.state.candidates().get(it as usize));
         let known = proposed.map_or(self.state.latest_profile(), |it| it.identified_from);

@@ -25,8 +25,8 @@ impl VelocityQuality {
     }
 }
 
-/// Number of control periods above which lag and error grow no further; the guard ends a rollout
-/// long before.
+/// Number of control periods above which lag and error grow no further; a rollout without a sample
+/// ends long before.
 const MAX_PERIODS: u32 = 100;
 
 /// Lag of the filtered velocity behind the angles, s, if the last two samples are `periods` apart.

@@ -23,9 +23,9 @@ pub fn keep_on_board(settings: &mut RigSettings, before: String) -> Result<(), S
     Ok(())
 }
 
-/// Whether the embedded emulated Qube may have made a recording whose header describes its device
-/// so. A Qube that `emulate` serves at a port with a name of its own is another one; at a port
-/// without one, `/dev/pts/N`, it cannot be told from the embedded one of real time.
+/// Whether the embedded emulated Qube may have made a recording with this device in its header. A
+/// Qube that `emulate` serves at a port with a name of its own is another one. At a port
+/// `/dev/pts/N` it cannot be told from the embedded Qube, which has such a port in real time.
 fn may_be_embedded(device: &DeviceFacts) -> bool {
     let is_emulator = device.kind().is_none_or(|kind| kind == EMULATOR_KIND);
     let is_unnamed = |port: &str| port == IN_PROCESS || port.starts_with("/dev/pts/");

@@ -6,7 +6,7 @@ use crate::session::{Identification, IdentificationSettings, Purpose, SessionSta
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct EarlyTraining {
     pub(super) kind: EarlyKind,
-    /// Number of its candidate, if nothing unexpected happens.
+    /// Number that its candidate is expected to get.
     pub(super) candidate: u32,
     /// Whether the training may begin now; otherwise it only goes on if it has begun.
     pub(super) may_begin: bool,

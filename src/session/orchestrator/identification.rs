@@ -263,7 +263,7 @@ impl Session {
     /// recommended psi minus its mean at the best evaluated psi, or minus the verified return if
     /// the verified policy was trained without psi. Before, it is the highest mean return of a
     /// candidate's policy in simulations of the identified Qube minus the verified return. This
-    /// takes the loss from simulation to reality for what another candidate may win back; a policy
+    /// assumes that another candidate may win back the loss from simulation to reality; a policy
     /// that no candidate has found yet may gain more.
     fn expected_gain(
         &mut self,
@@ -401,7 +401,7 @@ struct FitData {
 struct LeftOut {
     candidate: u32,
     rollout: u32,
-    /// Its defect; `None` if the Qube did not run in it.
+    /// Defect of its motion; `None` if it shows no motion.
     defect: Option<Unfit>,
 }
 

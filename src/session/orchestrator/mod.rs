@@ -62,7 +62,7 @@ pub struct Session {
     told_left_out: HashSet<(u32, u32)>,
     /// Rollout that an earlier process gave up; `None` if there is none.
     given_up_before: Option<GivenUpBefore>,
-    /// Index of the rig whose error ended the last run, if its error did.
+    /// Index of the rig whose error ended the last run; `None` if no rig's error did.
     ended_by: Option<usize>,
 }
 
@@ -128,7 +128,7 @@ impl Session {
         };
         session.guard_as_unknown();
         session.search_around_identified()?;
-        // A finished session of an older program, whose ledger does not begin so, is only read.
+        // A finished session of an older program, whose ledger lacks this first line, is only read.
         let begins = matches!(session.ledger.entries().first(), Some(Entry::Begun { .. }));
         if !begins && session.next_step() != Step::Done {
             return Err(SessionError::BeginningLost { path: session.folder.paths().ledger() });
@@ -284,7 +284,7 @@ impl Session {
         rig.settings.recovery.acknowledged = true;
     }
 
-    /// How the Qube is homed whose doubt [`acknowledge`](Self::acknowledge) acknowledges.
+    /// The homing method of the Qube whose doubt [`acknowledge`](Self::acknowledge) acknowledges.
     #[must_use]
     pub fn homing_after_doubt(&self) -> HomingMethod {
         self.rigs[self.rig_in_doubt()].settings.homing.method
@@ -369,7 +369,7 @@ impl Session {
 
     /// Whether a candidate has been proposed yet.
     #[must_use]
-    pub fn has_decided(&self) -> bool {
+    pub fn has_proposed(&self) -> bool {
         !self.ledger.state().candidates().is_empty()
     }
 
@@ -462,9 +462,9 @@ fn bound_ledger(folder: &SessionFolder) -> Result<Ledger, SessionError> {
 }
 
 /// Binds a ledger to its settings: the empty ledger of a new session records their checksum; a
-/// ledger whose recorded checksum differs from that of the folder's settings is refused. So is an
-/// empty one beside candidates, whose policies may have been trained with other settings, or beside
-/// settings that were not written by a session, such as a file that was emptied.
+/// ledger that records another checksum than the one of the folder's settings is refused. An empty
+/// ledger is refused, too, if it is beside candidates, whose policies may have been trained with
+/// other settings, or beside settings that no session wrote, such as a file that was emptied.
 fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError> {
     let path = folder.paths().configuration();
     let bytes = folder

@@ -98,7 +98,7 @@ impl Trainer {
     /// The trainings of a candidate in each round. Around an identified Qube there are several, of
     /// which the best policy is kept. While the identification is doubted, a policy for an
     /// unidentified Qube competes with the policies of each candidate, so that no policy around a
-    /// doubtful fit is kept where that one is better in simulations.
+    /// doubtful fit is kept where the policy for an unidentified Qube is better in simulations.
     fn trainings(&self, candidate: &Candidate) -> Vec<TrainedFor> {
         if candidate.purpose == Purpose::Baseline {
             // The baseline is only for comparison, so its training is not repeated for a better

@@ -24,7 +24,7 @@ pub use upper_confidence_bound::UpperConfidenceBound;
 
 use super::GaussianProcess;
 
-/// A function over the box whose maximiser is the next point to evaluate, or, of the
+/// A function over the box whose maximiser is the next point to evaluate, or, for
 /// [`PosteriorMean`], the recommended point.
 pub trait Acquisition {
     /// The value at a point of d coordinates in the box's own units.

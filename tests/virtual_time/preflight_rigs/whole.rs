@@ -68,8 +68,8 @@ fn false_faults(seed: u64) -> Option<String> {
     }
 }
 
-/// The defects that may begin during a check. With each are the check of the examination that may
-/// name it, and the faults of homing that may.
+/// The defects that may begin during a check. Each has the name of the examination's check that may
+/// name the defect, and the faults with which homing may name it.
 const LATER: [(&str, &str, &[Fault]); 4] = [
     // If the count freezes while the arm rests, homing reports `ArmHeld`, which names both causes.
     ("frozen-theta", "arm", &[Fault::EncoderFrozen, Fault::ArmHeld]),
@@ -135,7 +135,7 @@ fn verdicts(seed: u64) -> Verdicts {
     verdicts
 }
 
-/// Accepted wrong names for each 100 defects that begin during a check. If the counts of both
+/// Accepted wrong names for each 100 defects that may begin during a check. If the counts of both
 /// encoders are constant, only the order in which they became so tells which one failed.
 const LATER_PERCENT: usize = 8;
 

@@ -12,10 +12,10 @@ use crate::replay::MotionLog;
 /// Largest number of transitions in the likelihood.
 const TRANSITIONS: usize = 40;
 
-/// Number of pairs of Qubes that are drawn from a distribution for the moments of each transition's
-/// end. The Qubes of a pair lie on opposite sides of the mean, so that the draws have the
-/// distribution's mean. There are more pairs than a Qube has coordinates, so that their sample
-/// covariance is not singular.
+/// Number of pairs of Qubes that are drawn from a distribution to estimate the mean and covariance
+/// of each transition's end. The Qubes of a pair lie on opposite sides of the mean, so that the
+/// draws have the distribution's mean. There are more pairs than a Qube has coordinates, so that
+/// their sample covariance is not singular.
 const PAIRS: usize = 16;
 
 /// Number of evaluations of the likelihood, rounded up to whole generations of CMA-ES.

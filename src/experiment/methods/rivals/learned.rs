@@ -86,8 +86,8 @@ impl<'a> FromRival<'a> {
         self.recordings.make(number, Recorded::Policy { after }, &policy)
     }
 
-    /// The first `recordings` recordings. A void recording is left out, and one with fewer than two
-    /// samples from the time in which the policy or excitation had the motor.
+    /// The first `recordings` recordings. A recording is left out if it is void or has fewer than
+    /// two samples from the time in which the policy or excitation had the motor.
     fn demonstrations(&self, recordings: u32) -> Result<Vec<Demonstration>, ExperimentError> {
         let mut demonstrations = Vec::new();
         for number in 0..recordings {
@@ -133,8 +133,8 @@ impl<'a> FromRival<'a> {
         Ok(OnDisk::Found(belief))
     }
 
-    /// Learns from the first `recordings` recordings: updates the belief after the last of
-    /// [`ROUNDS`] before them.
+    /// Learns from the first `recordings` recordings. The update starts from the belief after the
+    /// largest number of [`ROUNDS`] below `recordings`.
     fn learnt(&self, recordings: u32) -> Result<RivalBelief, ExperimentError> {
         let earlier = recordings.checked_sub(1).map_or(0, round_within);
         let before = match recordings {

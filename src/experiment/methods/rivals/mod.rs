@@ -4,13 +4,14 @@
 //!
 //! A `rival` turns recordings into a `belief` about the Qube, in the coordinates of a `space`;
 //! `learned` turns beliefs into recommendations. Three rivals leave the belief as it is: `adr` and
-//! `fpo` train policies of their own, in the parts that `stages` provides, and `history` only gives
-//! its policies a longer observation. `universal` is no rival of this form: it searches for the
-//! inputs of a policy. The statistics of the rivals are in files of their own, which know nothing
-//! of a Qube: `gaussian`, `relative_entropy`, `mixture_density`, `offline_likelihood`, `tempering`,
+//! `fpo` train policies of their own, in the stages of
+//! [`StagedTraining`](crate::learning::StagedTraining), and `history` only gives its policies a
+//! longer observation. `universal` is no rival of this form: it searches for the inputs of a
+//! policy. The statistics of the rivals are in files of their own, which know nothing of a Qube:
+//! `gaussian`, `relative_entropy`, `mixture_density`, `offline_likelihood`, `tempering`,
 //! `entropy_trade_off`, `stein`, `discriminator`, `evolution`. `simulator` simulates rollouts again
-//! in other Qubes; `summary` and `discrepancy` compare motions, `transitions` short stretches of
-//! them.
+//! in other Qubes; `summary` and `discrepancy` compare motions, and `transitions` short stretches
+//! of motions.
 
 mod adr;
 mod bayessim;

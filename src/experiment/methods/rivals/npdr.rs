@@ -19,7 +19,7 @@ const PASSES: usize = 60;
 /// Largest number of recordings whose statistics the posterior is given.
 const LATEST: usize = 3;
 
-/// Factor on the covariance of the belief before, from which Qubes are proposed.
+/// Factor on the covariance of the previous belief, from which Qubes are proposed.
 const WIDENED: f64 = 2.0;
 
 /// Largest number of draws from the proposal for each point within the ranges. A belief at several
@@ -27,8 +27,8 @@ const WIDENED: f64 = 2.0;
 const TRIES: usize = 1000;
 
 /// Sequential neural posterior estimation as in NPDR (Muratore et al., CoRL 2021): a network learns
-/// the posterior of a Qube given the latest rollouts, from simulations of Qubes, half of which the
-/// posterior before proposes.
+/// the posterior of a Qube given the latest rollouts, from simulations of Qubes. At most half of
+/// these Qubes are drawn from the previous belief, widened, and the others from the prior.
 pub struct Npdr;
 
 impl Rival for Npdr {
@@ -93,9 +93,9 @@ impl Proposed {
     }
 }
 
-/// Adds the proposed points to those of the prior, and returns the importance weights of all: the
-/// density of the prior over that of the mixture of both, each cut off at the ranges. Weighted
-/// points are as if drawn from the prior.
+/// Adds the proposed points to the points of the prior, and returns the importance weights of all:
+/// the density of the prior divided by the density of the mixture of prior and proposal, each cut
+/// off at the ranges. With these weights the points are as if drawn from the prior.
 fn importance(
     space: &Space,
     proposal: &Gaussian,

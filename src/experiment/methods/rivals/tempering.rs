@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::gaussian::Gaussian;
 
-/// Smallest effective share of the particles after a stage's weights.
+/// Smallest effective sample size under a stage's weights, as a share of the particles.
 const EFFECTIVE: f64 = 0.5;
 
 /// Factor by which particles approach their mean before a stage adds noise. Shrinkage and noise
