@@ -6,10 +6,14 @@ use std::sync::OnceLock;
 
 use crate::program::program;
 
-/// Path of the test library, which is built first: cargo builds no example for one test alone.
+/// Path of the test library: the one that `QUBE_HIL_TEST_LIBRARY` names, or else one that is built
+/// first, because cargo builds no example for one test alone.
 pub fn library() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| {
+        if let Some(library) = std::env::var_os("QUBE_HIL_TEST_LIBRARY") {
+            return library.into();
+        }
         let test = std::env::current_exe().unwrap();
         let folder = test.ancestors().nth(2).unwrap();
         let profile = match folder.file_name().and_then(|name| name.to_str()) {
