@@ -213,7 +213,7 @@ impl Rig {
             stop: Arc::clone(stop),
             link_patience_s: settings.recovery.link_patience_s,
             doubts: settings.recovery.doubts.clone(),
-            foresight_time_us: if is_hardware { foresight_time_us() } else { 0.0 },
+            foresight_time_us: if is_hardware { foresight_time_us(&settings.plant) } else { 0.0 },
             identified: Cell::new(settings.identified()),
             viewers: settings.viewers.clone(),
             last_fault: Cell::new(None),

@@ -567,7 +567,7 @@ mod tests {
     fn a_wrong_dimension_of_psi_is_named_with_its_own_line() {
         let first = "seed = 1\n[[psi]]\nname = \"mean_M_p\"\n[[psi]]\n";
         for (second, words) in [
-            ("name = \"filtr\"\n", "no `filtr`"),
+            ("name = \"filtr\"\n", "filtr is no entry of psi"),
             ("name = \"mean_M_p\"\n", "mean_M_p twice"),
             ("name = \"filter\"\nlower = 5.0\nupper = 1.0\n", "range of filter"),
         ] {

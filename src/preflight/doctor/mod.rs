@@ -14,6 +14,7 @@ use serde::Serialize;
 use crate::clock::{CPU_DMA_LATENCY, RealtimeRefusals};
 use crate::device::HilAddress;
 use crate::preflight::foresight_time_us;
+use crate::qube::PlantModel;
 
 /// The result of one test of the computer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -71,7 +72,7 @@ pub fn diagnose(
     let mut found = rights(&realtime);
     found.push(jitter);
     found.push(processor::governor());
-    found.push(processor::foresight(foresight_time_us()));
+    found.push(processor::foresight(foresight_time_us(&PlantModel::QUBE)));
     let (cards, serial): (Vec<_>, Vec<_>) =
         ports.iter().cloned().partition(|port| HilAddress::is_meant(port));
     if cards.is_empty() || !serial.is_empty() {
