@@ -26,7 +26,7 @@ def test_a_recording_is_a_table_of_its_ticks(swing_up):
     assert set(read["phase"]) == {"settling", "running", "braking"}
     assert np.isclose(read["reward"].sum(), read.return_) and (read["reward"][~running] == 0.0).all()
     assert np.allclose(np.diff(read["time_s"]), 0.01)
-    # The pendulum is upright at the end, and the motor gets what is asked for, to the millivolt.
+    # The pendulum is upright at the end, and the motor gets the voltage that the policy asks for, to the millivolt.
     upright = np.abs(np.abs(read["alpha_rad"][running][-100:]) - np.pi)
     assert upright.max() < 0.3
     wanted = np.clip(read["wanted_v"][running], -5.0, 5.0)
@@ -115,7 +115,7 @@ def test_a_session_below_a_folder_whose_name_is_no_utf_8_is_read(session_folder,
 
 
 def page_charts(page):
-    """The charts in a report's page, by the name of their abscissa."""
+    """The charts of the surrogate's posterior in a report's page, by the name of their abscissa."""
     data = page.split('id="data">', 1)[1].split("</script>", 1)[0]
     charts = json.loads(data)["charts"]
     return {chart["x"]["label"]: chart for chart in charts if chart["series"][0]["name"] == "expected"}

@@ -6,12 +6,12 @@ use super::rest::RECOIL;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
 
-/// Ticks at 0 V before the first push, and after a push that moved nothing: the cross-check of the
-/// encoders needs both halves of its window.
+/// Ticks at 0 V before each push until one has moved the arm: the cross-check of the encoders needs
+/// both halves of its window.
 const WAIT_TICKS: u32 = 22;
 
-/// Ticks at rest between a push that moved the arm and the next push: longer than a period of the
-/// pendulum's swing.
+/// Ticks at rest before each push that follows one that moved the arm, also where a push between
+/// them moved nothing: longer than a period of the pendulum's swing.
 const REST_TICKS: u32 = 60;
 
 /// Largest drift of an arm at rest without a push, rad.
@@ -144,7 +144,7 @@ impl HomingProbe {
             if self.pushes_without_motion > 1 {
                 return PushResponse::Stays;
             }
-            *self = self.turned();
+            *self = Self { waited_ticks: 0, ..self.turned() };
         }
         PushResponse::Waits
     }
@@ -186,5 +186,21 @@ mod tests {
         let recoil = qube.coupling / qube.arm_inertia;
         assert!((RECOIL_RAD - recoil).abs() < 5e-3, "{recoil}");
         assert!(RECOIL > recoil);
+    }
+
+    #[test]
+    fn each_push_may_wait_as_long_for_the_arm_to_come_to_rest() {
+        let mut probe = HomingProbe::new(&PlantModel::QUBE, 0.0);
+        probe.push_again();
+        let moving = MOST_WAIT_TICKS - REST_TICKS;
+        for tick in 0..moving {
+            let state = State { theta: f64::from(tick), ..State::default() };
+            assert_eq!(probe.update(&state), PushResponse::Waits);
+        }
+        // From here on the arm rests, and neither push moves it.
+        let rests = State { theta: f64::from(moving), ..State::default() };
+        let responses = std::iter::repeat_with(|| probe.update(&rests)).take(5000);
+        let mut results = responses.filter(|response| *response != PushResponse::Waits);
+        assert_eq!(results.next(), Some(PushResponse::Stays));
     }
 }

@@ -41,7 +41,7 @@ pub enum ExperimentEvent<'a> {
         plant: &'a str,
         /// Results of the rollouts.
         results: &'a [RolloutResult],
-        /// Time of the policy's training or of its last rollout.
+        /// Whether this process trained the policy or recorded one of its rollouts.
         made: Made,
     },
     /// A recommendation has been scored, or the method gave a reason for having none.
@@ -63,15 +63,15 @@ pub enum ExperimentEvent<'a> {
     NotScored {
         /// Number of these budgets.
         budgets: usize,
-        /// Time of the score at the nearest budget that has one, as in [`Self::Ran`];
-        /// [`Made::Earlier`] without any.
+        /// Whether this process made the score at the nearest budget that has one;
+        /// [`Made::Earlier`] if no budget has one.
         made: Made,
     },
     /// A repetition of a method has ended.
     Over {
         /// Repetition with all its recommendations.
         repetition: &'a Repetition,
-        /// Time of its last score.
+        /// Whether this process made one of its scores; [`Made::Earlier`] without any.
         made: Made,
     },
 }

@@ -22,8 +22,9 @@ pub struct TickSettings {
     pub max_steps: u32,
     /// Start angle of the arm, rad.
     pub start_theta_rad: f64,
-    /// Positions of the arm's stops, if homing has touched them. The guard keeps away from the
-    /// nearer one.
+    /// Positions of the arm's stops: those that homing touched or, after homing by hand, those that
+    /// offset and accepted travel imply; without them guard and brake assume the plant's own. The
+    /// guard keeps away from the nearer one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stops: Option<MeasuredStops>,
     /// Model and settings of foresight, if foresight is the guard; without this entry, the plant's
@@ -162,7 +163,7 @@ pub enum Ending {
     Fault(Fault),
 }
 
-/// The ending as a phrase whose subject is the rollout.
+/// The ending as a phrase whose subject is the rollout; a fault is named after `fault: ` instead.
 impl fmt::Display for Ending {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

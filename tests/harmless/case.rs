@@ -287,7 +287,8 @@ fn near(random: &mut ChaCha8Rng, seed: u64) -> QubeModel {
 }
 
 /// A Qube of the far domain. Two thirds have dry friction, two thirds a cable, two thirds a delay
-/// of the commands, and three quarters a dead zone on each side.
+/// of the commands. Three quarters have a dead zone for positive voltages and, independently of
+/// that, three quarters have one for negative voltages.
 fn far(random: &mut ChaCha8Rng) -> QubeModel {
     let mut model = QubeModel::NOMINAL;
     for parameter in DomainParameter::ALL {

@@ -16,7 +16,7 @@ use crate::session::{SeedFor, derived_seed};
 pub(in crate::experiment) struct Followed {
     /// Repetition with its recommendations.
     pub repetition: Repetition,
-    /// Time of its last score; [`Made::Earlier`] without any.
+    /// Whether this process made one of its scores; [`Made::Earlier`] without any.
     pub made: Made,
 }
 
