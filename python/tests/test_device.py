@@ -204,7 +204,8 @@ def test_any_thread_may_close_a_qube_and_the_thread_that_drives_it_is_told(virtu
         thread.join(120.0)
         assert [type(error) for error in ended] == [qube_hil.ClosedError]
         last = qube_hil.recording(env._recording)
-        assert last.outcome["ending"]["kind"] == "stopped"
+        # On a busy computer the episode may have ended before this thread closed the Qube.
+        assert last.outcome["ending"]["kind"] in ("stopped", "completed")
         with pytest.raises(qube_hil.ClosedError):
             env.reset()
 
