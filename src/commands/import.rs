@@ -132,10 +132,14 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Parses a scale from -100 to 100 V that is not 0.
+/// Parses a scale from -100 to 100 V whose magnitude is at least 1e-6 V.
 fn scale(text: &str) -> Result<f64, String> {
     let scale_v = between(text, -100.0, 100.0)?;
-    if scale_v == 0.0 { Err("give a voltage other than 0".into()) } else { Ok(scale_v) }
+    // A policy's file has the scale in single precision, where much smaller ones are 0.
+    if scale_v.abs() < 1e-6 {
+        return Err("give a voltage whose magnitude is at least 1e-6 V".into());
+    }
+    Ok(scale_v)
 }
 
 /// Parses a limit of the observation's entries from 0.001 to 1e6.

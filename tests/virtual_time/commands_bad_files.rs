@@ -82,6 +82,9 @@ fn an_imported_file_with_the_wrong_conventions_is_refused_with_what_to_do() {
     let foreign = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx/tanh.onnx");
     let foreign = foreign.to_str().unwrap();
     refused(directory.path(), &["import", foreign, "--history", "2"], 2, &["--action-scale"]);
+    // Single precision would round this scale to 0.
+    let vanishing = ["import", foreign, "--action-scale", "1e-50"];
+    refused(directory.path(), &vanishing, 2, &["1e-50", "at least 1e-6 V"]);
     let policy = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
     let export = ["export", policy.to_str().unwrap(), "--onnx", "--out", "."];
     assert!(qube_hil(directory.path(), &export).status.success());

@@ -68,8 +68,8 @@ fn step<'a>(graph: &Graph<'a>, node: &Node<'a>) -> Result<(Option<Step>, &'a str
         "Identity" => Ok((None, x)),
         "Cast" if node.is_cast_to_float() => Ok((None, x)),
         "Cast" => Err(operator.refused("to another type than float and double")),
-        "Flatten" if matches!(node.integer("axis", 1), -1..=1) => Ok((None, x)),
-        "Flatten" => Err(operator.refused("with an axis other than -1, 0 and 1")),
+        "Flatten" if matches!(node.integer("axis", 1), -1 | 1) => Ok((None, x)),
+        "Flatten" => Err(operator.refused("with an axis other than -1 and 1")),
         "Reshape" | "Expand" => Ok((operator.shaped(x)?, x)),
         "Gemm" => Ok((Some(operator.gemm()?), x)),
         "MatMul" => {
@@ -99,9 +99,15 @@ impl<'g, 'a> Operator<'g, 'a> {
         self.node.inputs.get(index).copied().ok_or(ImportError::NotOnnx)
     }
 
-    /// Returns the numbers of a constant; `None` if the name stands for no constant.
+    /// Returns the numbers of a constant that is one number or one row, which is the same for each
+    /// observation; `None` if the name stands for no constant. Any other shape would make further
+    /// rows or dimensions of an observation.
     fn numbers(&self, name: &str) -> Result<Option<&'g [f32]>, ImportError> {
-        self.graph.constant(name).map(|tensor| numbers(name, tensor)).transpose()
+        let Some(tensor) = self.graph.constant(name) else { return Ok(None) };
+        if !matches!(tensor.shape[..], [] | [_] | [1, _]) {
+            return Err(ImportError::Values { name: name.to_owned() });
+        }
+        numbers(name, tensor).map(Some)
     }
 
     /// The error that the operator is not known in this form.

@@ -145,6 +145,27 @@ fn a_bias_of_another_type_than_float_is_refused() {
 }
 
 #[test]
+fn a_constant_of_several_rows_or_dimensions_is_refused_by_its_name() {
+    let with = |shape: &[u64]| {
+        let nodes = [
+            node("Add", &["x", "c"], "s"),
+            node("MatMul", &["s", "w0"], "h"),
+            node("Tanh", &["h"], "a"),
+            node("MatMul", &["a", "w1"], "y"),
+        ];
+        let constants =
+            [numbers_of("c", shape), numbers_of("w0", &[6, 2]), numbers_of("w1", &[2, 1])];
+        read(model(&nodes, &constants, Some(6)))
+    };
+    for shape in [&[][..], &[1], &[6], &[1, 6], &[1, 1]] {
+        assert!(with(shape).is_ok(), "{shape:?}");
+    }
+    for shape in [&[6, 1][..], &[2, 3], &[6, 1, 1], &[1, 1, 6]] {
+        assert_eq!(with(shape), Err(ImportError::Values { name: "c".into() }), "{shape:?}");
+    }
+}
+
+#[test]
 fn weights_that_are_no_matrix_and_an_output_times_0_are_refused_by_their_operator() {
     let with = |shape: &[u64], factor: f32| {
         let nodes = [
