@@ -36,7 +36,7 @@ mod places;
 mod ringing;
 mod safety_box;
 mod trusted_foresight;
-mod voltage_gate;
+mod voltage_clamp;
 
 pub use belief::{Belief, BeliefError};
 pub use brake_law::{BrakeLaw, CentringBrake};
@@ -51,4 +51,4 @@ pub use motor_heat::{COOLED_LOAD, LARGEST_LOAD, MotorHeat, WARNING_LOAD, Winding
 pub use particle::Particle;
 pub use safety_box::{Limit, SafetyBox};
 pub use trusted_foresight::TrustedForesight;
-pub use voltage_gate::{NotFinite, clamp_to_mv};
+pub use voltage_clamp::{NotFinite, clamp_to_mv};

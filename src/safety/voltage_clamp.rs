@@ -24,7 +24,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_gate_limits_and_refuses() {
+    fn the_clamp_limits_and_refuses() {
         assert_eq!(clamp_to_mv(1.2344, 5.0), Ok(1234));
         assert_eq!(clamp_to_mv(-7.0, 5.0), Ok(-5000));
         assert_eq!(clamp_to_mv(f64::MAX, 5.0), Ok(5000));
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_of_all_patterns_of_an_f32_passes_the_gate_or_is_refused() {
+    fn a_sample_of_all_patterns_of_an_f32_is_clamped_or_refused() {
         // The stride is odd, so that the samples spread over all exponents and both signs.
         (0..200_000_u32).for_each(|number| check(number.wrapping_mul(21_467)));
         for edge in [0.0, -0.0, 5.0, -5.0, f32::MIN_POSITIVE, f32::MAX, f32::NAN, f32::INFINITY] {
@@ -65,7 +65,7 @@ mod tests {
 
     #[test]
     #[ignore = "all 2^32 patterns, half a minute: scripts/adversary runs it"]
-    fn every_pattern_of_an_f32_passes_the_gate_or_is_refused() {
+    fn every_pattern_of_an_f32_is_clamped_or_refused() {
         (0..=u32::MAX).for_each(check);
     }
 }

@@ -26,7 +26,7 @@ fn no_adversary_reaches_the_hard_stop_or_more_than_five_volts() {
             worst.episode.farthest_rad, worst.episodes, worst.false_faults
         );
         stays_short(&worst);
-        assert_eq!(worst.largest_mv, 5000, "the gate let more than 5 V through, or never 5 V");
+        assert_eq!(worst.largest_mv, 5000, "the clamp let more than 5 V through, or never 5 V");
     }
 }
 
