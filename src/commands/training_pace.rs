@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use super::screen::time_left;
@@ -16,12 +16,20 @@ pub struct TrainingPace {
     trained: u32,
     /// Updates so far of each candidate that is in training.
     in_training: BTreeMap<u32, u32>,
+    /// Numbers of candidates that need no training.
+    untrained: BTreeSet<u32>,
 }
 
 impl TrainingPace {
     /// The pace before the first training. Each candidate has this number of updates.
     pub fn new(updates: u32) -> Self {
-        Self { updates, began: None, trained: 0, in_training: BTreeMap::new() }
+        Self {
+            updates,
+            began: None,
+            trained: 0,
+            in_training: BTreeMap::new(),
+            untrained: BTreeSet::new(),
+        }
     }
 
     /// Counts one more update of a candidate. The first update of all only starts the clock.
@@ -32,11 +40,16 @@ impl TrainingPace {
         }
     }
 
-    /// Ends the trainings of a candidate. `by_this_process` is false if its policy was already
-    /// finished when this process began.
-    pub fn trained(&mut self, candidate: u32, by_this_process: bool) {
+    /// Ends the trainings of a candidate.
+    pub fn trained(&mut self, candidate: u32) {
         self.in_training.remove(&candidate);
-        self.trained += u32::from(by_this_process);
+        self.trained += 1;
+    }
+
+    /// Leaves a candidate out of the trainings to come: it is an excitation, or a copy of another
+    /// candidate's policy.
+    pub fn needs_no_training(&mut self, candidate: u32) {
+        self.untrained.insert(candidate);
     }
 
     /// Time left for a session of this number of candidates; `None` before the second update, and
@@ -48,7 +61,8 @@ impl TrainingPace {
         let part = |updates: &u32| f64::from((*updates).min(self.updates));
         let parts = self.in_training.values().map(part).sum::<f64>();
         let done = f64::from(self.trained) + parts / f64::from(self.updates.max(1));
-        let to_do = f64::from(candidates.saturating_sub(first)) - done;
+        let untrained = self.untrained.range(first..candidates.max(first)).count();
+        let to_do = f64::from(candidates.saturating_sub(first)) - untrained as f64 - done;
         if to_do <= 0.0 {
             return None;
         }
@@ -73,17 +87,18 @@ mod tests {
             pace.update(number, began);
         }
         assert_eq!(pace.time_left(12, after_s(30)), Some(Duration::from_secs(300)));
-        pace.trained(1, true);
-        pace.trained(2, true);
+        pace.trained(1);
+        pace.trained(2);
         assert_eq!(pace.time_left(12, after_s(60)), Some(Duration::from_secs(270)));
-        // Candidate 3 was found trained; others are not begun. Neither shows how long a training
-        // takes.
-        pace.trained(3, false);
-        assert_eq!(pace.time_left(12, after_s(60)), Some(Duration::from_secs(270)));
+        // Candidate 3 is a copy; others are not begun. Neither shows how long a training takes.
+        pace.needs_no_training(0);
+        pace.needs_no_training(3);
+        assert_eq!(pace.time_left(12, after_s(60)), Some(Duration::from_secs(240)));
         for _ in 0..30 {
             pace.update(4, after_s(60));
         }
-        assert_eq!(pace.time_left(12, after_s(90)), Some(Duration::from_secs(240)));
-        assert_eq!(pace.time_left(3, after_s(90)), None);
+        assert_eq!(pace.time_left(12, after_s(90)), Some(Duration::from_secs(210)));
+        pace.trained(4);
+        assert_eq!(pace.time_left(5, after_s(90)), None, "only copies and rollouts are left");
     }
 }

@@ -81,8 +81,8 @@ pub enum SessionEvent<'a> {
     Trained {
         /// Number of the candidate.
         candidate: u32,
-        /// Mean return of the policy in the simulations of its training; `None` if it is unknown.
-        best_return: Option<f64>,
+        /// Mean return of the policy in the simulations of its training.
+        best_return: f64,
     },
     /// The device is open, its board and doubt are accepted, and the arm is about to move for the
     /// first time.

@@ -149,10 +149,17 @@ fn where_the_fit_is_doubted_a_policy_for_an_unknown_qube_competes() {
         (list(&told["identification"], "doubts").len(), policy.training.model.clone())
     };
     let eccentric = ["--effect", "eccentricity_rad=0.03"];
-    let doubted: Vec<(usize, String)> = (1..=4).map(|seed| kept(&eccentric, seed)).collect();
+    let mut doubted = Vec::new();
+    let is_kept =
+        |doubted: &[(usize, String)], name: &str| doubted.iter().any(|(_, model)| model == name);
+    for seed in 1..=8 {
+        doubted.push(kept(&eccentric, seed));
+        if is_kept(&doubted, "robust") && is_kept(&doubted, "opt-profile") {
+            break;
+        }
+    }
     assert!(doubted.iter().all(|(doubts, _)| *doubts > 0), "{doubted:?}");
-    assert!(doubted.iter().any(|(_, model)| model == "robust"), "{doubted:?}");
-    assert!(doubted.iter().any(|(_, model)| model == "opt-profile"), "{doubted:?}");
+    assert!(is_kept(&doubted, "robust") && is_kept(&doubted, "opt-profile"), "{doubted:?}");
     let sure: Vec<(usize, String)> = (1..=2).map(|seed| kept(&[], seed)).collect();
     assert!(sure.iter().all(|it| *it == (0, "opt-profile".to_owned())), "{sure:?}");
 }
@@ -386,7 +393,7 @@ fn a_later_fit_that_fails_is_told_and_a_policy_for_an_unknown_qube_competes_from
                         let since_failed = usize::from(!failed.is_empty());
                         trainings[since_failed] = trainings[since_failed].max(training + 1);
                     }
-                    SessionEvent::Trained { best_return: Some(_), .. } => {
+                    SessionEvent::Trained { .. } => {
                         stop.store(!failed.is_empty(), Ordering::Relaxed);
                     }
                     _ => {}

@@ -28,8 +28,11 @@ pub struct SessionProgress {
     /// Beginning of each line: the name of the rig among several.
     prefix: String,
     stop: Arc<AtomicBool>,
-    /// Number of all candidates, as far as it is known; the time left is estimated from it.
+    /// Number of all candidates, as far as it is known, without a copy of the best candidate's
+    /// policy that is still to be proposed; the time left is estimated from it.
     candidates: u32,
+    /// Whether the session is still to propose a copy of the best candidate's policy.
+    copy_to_come: bool,
     /// Whether the session ends with a policy that is trained on the nominal Qube, for comparison.
     has_baseline: bool,
     /// Largest number of candidates around the identified Qube; `None` if the session identifies
@@ -57,7 +60,7 @@ impl SessionProgress {
             // Repeated excitations and further verifications are not included: each proposal
             // corrects the number.
             Some(plan) => plan.excitations + plan.candidates + 1,
-            None => searched + 1 + u32::from(extent.verifies_incumbent),
+            None => searched + 1,
         } + u32::from(extent.baseline);
         let updates = settings.training.updates;
         let trainings = settings.identification.map_or(1, |plan| plan.trainings.max(1));
@@ -67,6 +70,7 @@ impl SessionProgress {
             prefix: String::new(),
             stop: Arc::clone(&stop.flag),
             candidates,
+            copy_to_come: extent.verifies_incumbent,
             has_baseline: extent.baseline,
             around: settings.identification.map(|plan| plan.candidates),
             updates,
@@ -183,7 +187,11 @@ impl SessionProgress {
         };
         let to_come = counts.most_searched.saturating_sub(counts.searched);
         let last = candidate + 1 + to_come + u32::from(self.has_baseline);
-        self.candidates = counts.total.unwrap_or(last);
+        if matches!(purpose, Purpose::Excitation | Purpose::Incumbent) {
+            self.pace.needs_no_training(candidate);
+        }
+        self.copy_to_come &= purpose != Purpose::Incumbent;
+        self.candidates = counts.total.map_or(last, |total| total - u32::from(self.copy_to_come));
         let text = proposed(candidate, purpose, why, counts);
         self.proposed(candidate, purpose, &text, counts);
         self.line(text + &left_in_all(self.time_left(), purpose, counts));
@@ -203,17 +211,15 @@ impl SessionProgress {
     }
 
     /// Shows the end of a candidate's trainings.
-    fn show_trained(&mut self, candidate: u32, best_return: Option<f64>) {
+    fn show_trained(&mut self, candidate: u32, best_return: f64) {
         self.progress.update(|state| {
             state.trainings.retain(|(_, number, _), _| *number != candidate);
             state.phase = if self.is_connected() { ROLLOUTS } else { OPENING }.into();
         });
-        self.pace.trained(candidate, best_return.is_some());
-        if let Some(best_return) = best_return {
-            self.line(format!(
-                "candidate {candidate}: trained, earns {best_return:.0} in its simulations"
-            ));
-        }
+        self.pace.trained(candidate);
+        self.line(format!(
+            "candidate {candidate}: trained, earns {best_return:.0} in its simulations"
+        ));
     }
 
     /// Shows that a rig is open; its identity only the first time.
@@ -345,15 +351,15 @@ fn proposed(candidate: u32, purpose: Purpose, why: &str, counts: &CandidateCount
     }
 }
 
-/// The end of a proposal's line that says how much time is left, or at most is left in a search
-/// that may end early; empty if the time is not known, as in such a search once a policy is
+/// The end of a proposal's line that says how much time is left until the last training ends, or at
+/// most in a search that may end early; empty if the time is not known, as in such a search once a policy is
 /// verified or compared, because this may be the last candidate.
 fn left_in_all(left: Option<Duration>, purpose: Purpose, counts: &CandidateCounts) -> String {
     let Some(left) = left.map(in_words) else { return String::new() };
     match counts.total {
-        Some(_) => format!("; about {left} left in all"),
+        Some(_) => format!("; about {left} until the last training ends"),
         None if !purpose.informs() => String::new(),
-        None => format!("; at most about {left} left in all"),
+        None => format!("; at most about {left} until the last training ends"),
     }
 }
 
@@ -380,7 +386,7 @@ mod tests {
     fn the_last_candidate_is_the_last_of_all() {
         let settings = SessionSettings::quick();
         let progress = SessionProgress::new(&settings, &Progress::lines(), &Stop::default());
-        assert_eq!(progress.candidates, 12);
+        assert_eq!(progress.candidates, 11, "the last of twelve is a copy");
         let counts = CandidateCounts { searched: 10, most_searched: 10, total: Some(12) };
         let told = proposed(11, Purpose::Incumbent, "the last", &counts);
         assert_eq!(told, "candidate 11 (12 of 12): the last");
@@ -400,8 +406,14 @@ mod tests {
             left_in_all(left, purpose, &CandidateCounts { searched: 3, most_searched: 10, total })
         };
         let left = Some(Duration::from_secs(240));
-        assert_eq!(told(Some(12), Purpose::Search, left), "; about 4 min left in all");
-        assert_eq!(told(None, Purpose::Search, left), "; at most about 4 min left in all");
+        assert_eq!(
+            told(Some(12), Purpose::Search, left),
+            "; about 4 min until the last training ends"
+        );
+        assert_eq!(
+            told(None, Purpose::Search, left),
+            "; at most about 4 min until the last training ends"
+        );
         assert_eq!(told(None, Purpose::Incumbent, left), "");
         assert_eq!(told(None, Purpose::Baseline, left), "");
         assert_eq!(told(None, Purpose::Search, None), "");

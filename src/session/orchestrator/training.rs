@@ -192,7 +192,7 @@ impl Trainer {
         contest.competition.enter(training, score, (trained, trained_for));
         let Some((winner, trained_for)) = contest.competition.take_winner() else { return Ok(()) };
         contest.is_over = true;
-        let best_return = Some(winner.best_return);
+        let best_return = winner.best_return;
         // The times are written before the policy, so that no policy is on disk without its times.
         if self.in_real_time {
             let path = self.paths.candidate(candidate).training_times();

@@ -40,7 +40,7 @@ pub(super) struct TrainingAhead {
 /// A message of a training to the session's thread.
 enum TrainingEvent {
     Update { candidate: u32, training: u32, update: TrainUpdate },
-    Trained { candidate: u32, best_return: Option<f64> },
+    Trained { candidate: u32, best_return: f64 },
     Ended { candidate: u32, result: Result<(), SessionError> },
 }
 
