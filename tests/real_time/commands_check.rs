@@ -67,7 +67,7 @@ fn check_conformance_examines_any_device() {
             let arguments = [&["check", "--conformance"][..], arguments].concat();
             let output = qube_hil(directory.path(), &arguments);
             assert_eq!(output.status.code(), Some(0), "{}{}", stdout(&output), stderr(&output));
-            assert!(stdout(&output).contains("33 of 33 checks passed"), "{}", stdout(&output));
+            assert!(stdout(&output).contains("34 of 34 checks passed"), "{}", stdout(&output));
         }
         let absent = with_fault("qube-absent@0");
         let output = qube_hil(
@@ -89,28 +89,27 @@ fn check_conformance_examines_any_device() {
 
 #[test]
 fn a_port_with_something_else_behind_it_is_bad_input() {
-    in_real_time(|| {
+    let refused = |port: &str, words: &[&str]| {
         let directory = tempfile::tempdir().unwrap();
-        let refused = |port: &str, words: &[&str]| {
-            let experiment = ["experiment", "--models", "nominal", "--out", "begun"];
-            for command in [&["check"][..], &["run", "--policy", "classical"], &experiment] {
-                let output = qube_hil(directory.path(), &[command, &["--device", port]].concat());
-                assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
-                assert!(output.stdout.is_empty());
-                let begun = directory.path().join("begun/experiment.toml");
-                assert!(!begun.exists(), "nothing was begun");
-                for word in words {
-                    let stderr = stderr(&output);
-                    assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
-                }
+        let experiment = ["experiment", "--models", "nominal", "--out", "begun"];
+        for command in [&["check"][..], &["run", "--policy", "classical"], &experiment] {
+            let output = qube_hil(directory.path(), &[command, &["--device", port]].concat());
+            assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+            assert!(output.stdout.is_empty());
+            let begun = directory.path().join("begun/experiment.toml");
+            assert!(!begun.exists(), "nothing was begun");
+            for word in words {
+                let stderr = stderr(&output);
+                assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
             }
-        };
-        refused(port(&with_fault("wrong-version")), &["protocol version 1", "Flash"]);
-        refused(port(&with_fault("qube-absent@0")), &["module id 0x0000", "power"]);
-        refused(port(&with_fault("silent@0")), &["no answer to"]);
-
-        // A device of another kind, or at another baud rate, says something; a modem echoes.
-        for echoes in [false, true] {
+        }
+    };
+    let qube_is_refused = |fault: &str, words: &[&str]| {
+        in_real_time(|| refused(port(&with_fault(fault)), words));
+    };
+    // A device of another kind, or at another baud rate, says something; a modem echoes.
+    let talker_is_refused = |echoes: bool| {
+        in_real_time(|| {
             let (mut master, slave) = serialport::TTYPort::pair().unwrap();
             let name = serialport::SerialPort::name(&slave).unwrap();
             let words = if echoes { ["it echoes"] } else { ["another baud rate"] };
@@ -131,7 +130,14 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
             let mut last = serialport::new(&name, 9600).open().unwrap();
             last.write_all(b"end").unwrap();
             talker.join().unwrap();
-        }
+        });
+    };
+    std::thread::scope(|scope| {
+        scope.spawn(|| qube_is_refused("wrong-version", &["protocol version 1", "Flash"]));
+        scope.spawn(|| qube_is_refused("qube-absent@0", &["module id 0x0000", "power"]));
+        scope.spawn(|| qube_is_refused("silent@0", &["no answer to"]));
+        scope.spawn(|| talker_is_refused(false));
+        talker_is_refused(true);
     });
 }
 

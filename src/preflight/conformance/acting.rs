@@ -2,10 +2,18 @@ use firmware_protocol::scaling::{MAX_VOLTAGE_MV, motor_counts, motor_voltage_mv}
 use firmware_protocol::{NO_ACT_US, RefusalReason};
 
 use super::{Deviation, TestHost, ensure};
+use crate::clock::Nanoseconds;
 
 /// Voltages of up to 1 V, mV. 12 and 13 mV lie on both sides of half a step of the motor's
 /// resolution (24.02 mV), so they show how the device rounds.
 const VOLTAGES_MV: [i16; 8] = [1000, -1000, 12, 13, -13, 500, -500, 0];
+
+/// Wait between two acts on one sample, ns: many times the time of a frame, and short enough that
+/// the second act is fresh.
+const BETWEEN_ACTS_NS: Nanoseconds = 5_000_000;
+
+/// Number of tries of [`first_act_time`]: a link that is late once makes one of them fail.
+const TRIES: u32 = 5;
 
 pub(super) fn unarmed(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     test_host.greet()?;
@@ -23,24 +31,24 @@ pub(super) fn act(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     ensure!(before.sample_to_act_us == NO_ACT_US, "it reports an act although there was none");
     for voltage_mv in VOLTAGES_MV {
         let sequence = test_host.act(voltage_mv)?;
-        // A second act on the same sample must not change the reported time from the sample to the
-        // first act.
+        // The next sample must name the second act on the same sample.
         let newer = test_host.act(voltage_mv)?;
         let after = test_host.sample_armed()?;
         let expected_mv = motor_voltage_mv(motor_counts(voltage_mv));
         ensure!(
             after.applied_mv == expected_mv,
-            "an act of {voltage_mv} mV shows as {} instead of {expected_mv} mV",
+            "an act of {voltage_mv} mV shows as {} mV instead of {expected_mv} mV",
             after.applied_mv
         );
         ensure!(
             after.last_act_sequence == newer,
-            "the last act was {newer} (after {sequence}), it says {}",
+            "the last act has the sequence number {newer} and the one before it {sequence}, but the sample names {}",
             after.last_act_sequence
         );
+        ensure!(after.sample_to_act_us != NO_ACT_US, "it reports no act although there were two");
         let between_us = after.device_time_us.wrapping_sub(before.device_time_us);
         ensure!(
-            after.sample_to_act_us != NO_ACT_US && u32::from(after.sample_to_act_us) <= between_us,
+            u32::from(after.sample_to_act_us) <= between_us,
             "sample to act took {} us of {between_us} us between two samples",
             after.sample_to_act_us
         );
@@ -49,6 +57,33 @@ pub(super) fn act(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     let idle = test_host.sample_armed()?;
     ensure!(idle.sample_to_act_us == NO_ACT_US, "it reports an act although there was none");
     Ok(())
+}
+
+pub(super) fn first_act_time(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
+    test_host.arm()?;
+    let mut before = test_host.sample_armed()?;
+    let mut told = (0, 0);
+    for _ in 0..TRIES {
+        test_host.act(0)?;
+        test_host.wait_ns(BETWEEN_ACTS_NS);
+        test_host.act(0)?;
+        let after = test_host.sample_armed()?;
+        let between_us = after.device_time_us.wrapping_sub(before.device_time_us);
+        told = (after.sample_to_act_us, between_us);
+        // The second act came at the end of the time between the samples, and the first one before
+        // the wait; half of the wait is left to the link.
+        let latest_us = u64::from(between_us).saturating_sub(BETWEEN_ACTS_NS / 2000);
+        if u64::from(after.sample_to_act_us) <= latest_us {
+            return Ok(());
+        }
+        before = after;
+    }
+    let (sample_to_act_us, between_us) = told;
+    Err(Deviation::Wrong(format!(
+        "sample to act took {sample_to_act_us} us of {between_us} us between two samples, although the second act \
+         came {} us after the first",
+        BETWEEN_ACTS_NS / 1000
+    )))
 }
 
 pub(super) fn out_of_range(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {

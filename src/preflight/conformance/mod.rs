@@ -183,6 +183,11 @@ pub const CHECKS: &[ConformanceCheck] = &[
         run: acting::act,
     },
     ConformanceCheck {
+        name: "first-act-time",
+        promise: "the time from a sample to its act is that of the first act on it",
+        run: acting::first_act_time,
+    },
+    ConformanceCheck {
         name: "act-out-of-range",
         promise: "more than 5000 mV are refused and change nothing",
         run: acting::out_of_range,

@@ -1,4 +1,4 @@
-use firmware_protocol::{Decoder, RefusalReason, Reply, SampleReply, StatusBits};
+use firmware_protocol::{Decoder, NO_ACT_US, RefusalReason, Reply, SampleReply, StatusBits};
 
 use super::*;
 use crate::clock::{Nanoseconds, VirtualClock};
@@ -147,6 +147,14 @@ const DISTORTIONS: &[(&str, Distortion)] = &[
     ("act", |_, reply| distort_sample(reply, |sample| sample.applied_mv /= 2)),
     ("act", |_, reply| distort_sample(reply, |sample| sample.sample_to_act_us = 0xFFFF)),
     ("act", |_, reply| distort_sample(reply, |sample| sample.last_act_sequence ^= 1)),
+    ("first-act-time", |_, reply| {
+        // The time of the last act: the wait between the two is added.
+        distort_sample(reply, |sample| {
+            if sample.sample_to_act_us != NO_ACT_US {
+                sample.sample_to_act_us += 5000;
+            }
+        })
+    }),
     ("act-out-of-range", |_, reply| !refuses(reply, RefusalReason::VoltageOutOfRange)),
     ("replayed-act", |_, reply| !refuses(reply, RefusalReason::StaleSequence)),
     ("watchdog", |_, reply| distort_sample(reply, |sample| sample.device_time_us *= 2)),
