@@ -461,7 +461,7 @@ fn a_pendulum_that_is_shorter_than_its_name_plate_says_is_found() {
 #[test]
 fn a_recording_that_no_qube_makes_is_no_silent_fit() {
     // The voltage has the wrong sign.
-    for (sign, seconds) in [(1.0, 4.0), (-1.0, 4.0), (1.0, 5.0)] {
+    for (sign, seconds) in [(-1.0, 4.0), (1.0, 5.0)] {
         let mut log = chirp(&truth(), sign, seconds);
         for sample in &mut log.samples {
             sample.voltage_v = -sample.voltage_v;

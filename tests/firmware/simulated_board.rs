@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -15,8 +15,34 @@ use crate::board_clock::BoardClock;
 use crate::qube::{FRAME_BYTES, Qube};
 use crate::toolchain::{Chip, Toolchain};
 
-/// Lock: one simulator at a time, because two would not keep real time on a small machine.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+/// Largest number of simulators at a time. Each needs a quarter of a core, so that more would not
+/// keep real time on a small machine.
+const MOST_AT_A_TIME: u32 = 2;
+
+/// Number of simulators that run, and the signal that one has ended.
+static RUNNING: (Mutex<u32>, Condvar) = (Mutex::new(0), Condvar::new());
+
+/// The permission to run a simulator, until it is dropped.
+struct Permission;
+
+impl Permission {
+    /// Waits until fewer than [`MOST_AT_A_TIME`] simulators run.
+    fn wait() -> Self {
+        let (running, ended) = &RUNNING;
+        let count = running.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = ended.wait_while(count, |count| *count >= MOST_AT_A_TIME);
+        *count.unwrap_or_else(PoisonError::into_inner) += 1;
+        Self
+    }
+}
+
+impl Drop for Permission {
+    fn drop(&mut self) {
+        let (running, ended) = &RUNNING;
+        *running.lock().unwrap_or_else(PoisonError::into_inner) -= 1;
+        ended.notify_one();
+    }
+}
 
 // `struct event` and `struct answer` of simulator.c.
 const EVENT_BYTES: usize = 48;
@@ -59,7 +85,7 @@ pub struct SimulatedBoard {
     shared: Arc<Shared>,
     simulator: Child,
     peer: Option<JoinHandle<()>>,
-    _alone: MutexGuard<'static, ()>,
+    _permission: Permission,
 }
 
 impl SimulatedBoard {
@@ -86,7 +112,7 @@ impl SimulatedBoard {
         qube: Qube,
         memory_seed: u32,
     ) -> Self {
-        let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+        let permission = Permission::wait();
         let mut simulator = Command::new(toolchain.simulator())
             .arg(elf)
             .arg(chip.name())
@@ -119,7 +145,7 @@ impl SimulatedBoard {
             serve(events, answers, &peers_qube, &peers_shared);
         });
         let port = port.trim().to_owned();
-        Self { port, qube, shared, simulator, peer: Some(peer), _alone: alone }
+        Self { port, qube, shared, simulator, peer: Some(peer), _permission: permission }
     }
 
     pub fn port(&self) -> &str {

@@ -38,7 +38,7 @@ fn rollout_under_way(folder: &Path) -> Option<PathBuf> {
 
 #[test]
 fn ctrl_c_does_not_hide_a_motor_that_stays_armed() {
-    for arguments in COMMANDS {
+    let must_say_so = |arguments: &[&str]| {
         in_real_time(|| {
             let folder = tempfile::tempdir().unwrap();
             let fault = format!("ignored-disarm@{IGNORED_AFTER_S}");
@@ -65,5 +65,10 @@ fn ctrl_c_does_not_hide_a_motor_that_stays_armed() {
             assert_eq!(output.status.code(), Some(4), "{arguments:?}: {told}");
             assert!(told.contains("Switch the Qube off"), "{arguments:?}: {told}");
         });
-    }
+    };
+    std::thread::scope(|scope| {
+        for arguments in COMMANDS {
+            scope.spawn(|| must_say_so(arguments));
+        }
+    });
 }
