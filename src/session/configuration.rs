@@ -56,11 +56,16 @@ impl SessionSettings {
     /// Reads a complete configuration, and its retired entries apart from it.
     fn loaded(text: &str, path: &Path) -> Result<(Self, Vec<Retired>), ConfigurationError> {
         let mut entries = LocatedEntries::of(text, None, path)?;
-        let mut table: Table = entries.read()?;
+        // A `Table` holds no seed of 64 bits, which an experiment gives to its searches.
+        let StoredSeed { seed } = entries.read()?;
+        let mut others = LocatedEntries::of(text, None, path)?;
+        others.table.get_mut().remove("seed");
+        let mut table: Table = others.read()?;
         let retired = take_retired(&mut table);
         let without_retired;
         if !retired.is_empty() {
-            without_retired = toml::to_string(&table)?;
+            let seed = seed.map_or_else(String::new, |seed| format!("seed = {seed}\n"));
+            without_retired = seed + &toml::to_string(&table)?;
             entries = LocatedEntries::of(&without_retired, None, path)?;
         }
         // A session writes its tables whole, so one that lacks an entry is damaged.
@@ -207,6 +212,12 @@ fn out_of_range(path: &Path, reason: String) -> ConfigurationError {
 const OBSERVERS: [&[&str]; 3] =
     [&["estimator"], &["homing", "estimator"], &["training", "simulation", "sensors", "estimator"]];
 
+/// The seed of a stored settings file.
+#[derive(Deserialize)]
+struct StoredSeed {
+    seed: Option<u64>,
+}
+
 /// The entry of a settings file that selects the other settings' defaults.
 #[derive(Deserialize)]
 struct SelectedPreset {
@@ -299,6 +310,16 @@ mod tests {
             let extent = SessionSettings::load(&path).unwrap().extent;
             assert_eq!(extent, Extent { verifies_incumbent: verifies, ..Extent::THESIS });
         }
+    }
+
+    #[test]
+    fn a_seed_of_64_bits_is_read_again() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("session.toml");
+        let settings = SessionSettings { seed: u64::MAX, ..SessionSettings::quick() };
+        std::fs::write(&path, settings.to_toml().unwrap()).unwrap();
+        assert_eq!(SessionSettings::load(&path).unwrap(), settings);
+        assert_eq!(SessionSettings::load_to_resume(&path).unwrap(), settings);
     }
 
     #[test]
