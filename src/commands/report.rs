@@ -337,7 +337,7 @@ fn failure(error: ReportError) -> Failure {
             "{message}. Give the folder of a session or experiment, or recordings"
         )),
         ReportError::Configuration(_) => Failure::usage(message),
-        ReportError::Ledger(_) => Failure::data_lost(message),
+        ReportError::Ledger(_) | ReportError::LedgerLost { .. } => Failure::data_lost(message),
         ReportError::Data(_) => Failure::failed(message),
     }
 }

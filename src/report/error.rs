@@ -1,3 +1,5 @@
+use std::path::PathBuf;
+
 use thiserror::Error;
 
 use crate::session::{ConfigurationError, FolderError, LedgerError};
@@ -14,6 +16,14 @@ pub enum ReportError {
     /// The ledger cannot be read.
     #[error(transparent)]
     Ledger(#[from] LedgerError),
+    /// The ledger has no entry of a candidate that has a folder.
+    #[error(
+        "{path} says nothing of the candidates that have folders beside it: it is lost or was emptied. No page was written"
+    )]
+    LedgerLost {
+        /// Path of the ledger.
+        path: PathBuf,
+    },
     /// The data of the figures cannot be written.
     #[error("the figures could not be written: {0}")]
     Data(#[from] serde_json::Error),

@@ -107,6 +107,16 @@ fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
     assert!(output.status.code() == Some(3) && told.contains("(and 1 more"), "{told}");
     let poorer = fs::read_to_string(directory.join("poorer.html")).unwrap();
     assert_eq!(poorer.matches("Left out of this page: ").count(), 2);
+
+    // A folder that has lost its ledger keeps its page.
+    fs::rename(folder.join("ledger.jsonl"), folder.join("ledger.lost")).unwrap();
+    let output = qube_hil(directory, &["report", HOSTILE]);
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.code() == Some(3) && told.contains("ledger.jsonl says nothing"),
+        "{told}"
+    );
+    assert_eq!(fs::read_to_string(&path).unwrap(), page);
     look_at(&[&path, &directory.join("poorer.html")]);
 }
 

@@ -97,6 +97,9 @@ impl SessionSource {
         }
         let settings = SessionSettings::load(&paths.configuration())?;
         let view = SessionView::read(disk, paths.clone())?;
+        if view.state().candidates().is_empty() && disk.exists(paths.candidate(0).folder()) {
+            return Err(ReportError::LedgerLost { path: paths.ledger() });
+        }
         let bytes = disk.read(&paths.configuration(), SETTINGS_BYTES);
         let settings_changed = bytes.is_ok_and(|bytes| changed(&bytes, view.entries()));
         let mut source = Self {
