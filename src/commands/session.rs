@@ -115,8 +115,8 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
 
-    /// Resume the session in this folder, with its settings; on the emulated Qube also with its
-    /// clock
+    /// Resume the session in this folder, with its settings; on the emulated Qube also with the
+    /// clock of its recordings, or the wall clock if there are none yet
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
 

@@ -193,6 +193,13 @@ pub fn resumed_clock(
             );
             asked
         }
+        (None, None) if !device.choice.is_hardware() => {
+            print_message(
+                "note: no recording says under which clock this session began; it goes on by the wall clock, and \
+                 with --clock virtual as fast as the processor can",
+            );
+            device.clock
+        }
         _ => device.clock,
     }
 }
