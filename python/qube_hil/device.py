@@ -55,7 +55,10 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
         SettingsError: An argument or option is refused, or the folder of ``recordings`` cannot be made.
         DeviceError: The Qube cannot be opened.
 
-    ``info`` has ``late_answers``, and at the end of an episode ``ending``, ``return`` and ``recording``.
+    ``info`` has ``late_answers``. After a step it also has ``ticks``, the number of control periods that the step took: one,
+    and more after late answers, when the reward is the sum over all of them. ``voltage_v`` is the voltage that the motor got
+    in the last of these periods: Python's, unless an asking push, which shows whether the arm's encoder counts, a late
+    answer or the guard replaced it. At the end of an episode there are ``ending`` in words, ``return`` and ``recording``.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 100}
@@ -139,8 +142,8 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
         """Answers with a voltage, a fraction of 5 V, and waits for the next state."""
         try:
             voltage_v = MAX_VOLTAGE_V * float(_as_actions(action, (1,))[0])
-            observation, reward, terminated, truncated, late, end = self._device.step(voltage_v)
-            info: dict[str, Any] = {"late_answers": late}
+            observation, reward, terminated, truncated, (late, ticks, sent_v), end = self._device.step(voltage_v)
+            info: dict[str, Any] = {"late_answers": late, "ticks": ticks, "voltage_v": sent_v}
             if end is not None:
                 info |= {"ending": end[0], "return": end[1], "recording": self._recording}
             return observation, reward, terminated, truncated, info

@@ -21,9 +21,9 @@ from .policies import Policy
 from .profiles import around
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trained:
-    """The result of a training."""
+    """The result of a training; equal to itself only, because it holds arrays."""
 
     policy: Policy
     """The policy with the highest score of all updates."""

@@ -251,7 +251,7 @@ class Policy:
         try:
             # A tensor of torch that requires a gradient gives no array.
             given = given.detach().cpu() if hasattr(given, "detach") else given
-            observations = np.asarray(given, np.float32)
+            observations = _as_real(given)
         except (TypeError, ValueError) as error:
             raise ActionError(f"the observation is not an array of numbers: {error}") from error
         if observations.ndim not in (1, 2):
@@ -332,6 +332,14 @@ def _refuse_duplicates(names: str | None) -> None:
             raise PolicyError(f"observation names {quantity} twice: name each entry once")
 
 
+def _as_real(values: Any) -> Float32s:
+    """Real numbers in single precision; complex numbers, texts and dates raise a TypeError."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiubO":
+        raise TypeError(f"it has the type {array.dtype}")
+    return array.astype(np.float32, copy=False)
+
+
 def _as_layers(layers: Any) -> list[tuple[Float32s, Float32s]]:
     """Weights ``[outputs, inputs]`` and biases ``[outputs]`` of each layer as arrays of finite numbers."""
     arrays = []
@@ -339,8 +347,8 @@ def _as_layers(layers: Any) -> list[tuple[Float32s, Float32s]]:
         try:
             weight, bias = layer
             with np.errstate(over="ignore"):
-                matrix = np.asarray(weight, np.float32)
-                vector = np.zeros(len(matrix), np.float32) if bias is None else np.asarray(bias, np.float32)
+                matrix = _as_real(weight)
+                vector = np.zeros(len(matrix), np.float32) if bias is None else _as_real(bias)
         except (TypeError, ValueError) as error:
             raise PolicyError(
                 f"layer {number} is not made of arrays of numbers: {error}. Give (weight, bias) for each layer"

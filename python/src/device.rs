@@ -75,9 +75,11 @@ struct Turn<'a> {
     caller: &'a Mutex<Option<ThreadId>>,
 }
 
-/// Observation, reward, terminated, truncated, late answers so far, and at the end of an episode
-/// its ending and return.
-type Stepped<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, bool, u64, Option<(String, f64)>);
+/// Observation, reward, terminated, truncated; late answers so far, ticks of the step and the
+/// voltage that the motor got in the last of them, V; and at the end of an episode its ending and
+/// return.
+type Stepped<'py> =
+    (Bound<'py, PyArray1<f32>>, f64, bool, bool, (u64, u64, f64), Option<(String, f64)>);
 
 #[pymethods]
 impl Device {
@@ -207,7 +209,8 @@ impl Device {
         if !slot.over {
             state.running = Some(slot.asked);
             let observed = self.observed(py, &slot.state, &slot);
-            return Ok((observed, reward, false, false, slot.late, None));
+            let facts = (slot.late, slot.asked - asked, slot.sent_v());
+            return Ok((observed, reward, false, false, facts, None));
         }
         let Episode { ending, return_, last_state } = *self.ended(py, state)?.episode()?;
         let (left, whole) = match ending {
@@ -229,7 +232,9 @@ impl Device {
             Ending::Fault(fault) => return Err(ended_by(fault)),
         };
         let observed = self.observed(py, &last_state, &slot);
-        Ok((observed, reward, left, whole, slot.late, Some((ending.to_string(), return_))))
+        // The tick in which Python was asked last was the episode's last one, too.
+        let facts = (slot.late, slot.asked + 1 - asked, slot.sent_v());
+        Ok((observed, reward, left, whole, facts, Some((ending.to_string(), return_))))
     }
 
     /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a

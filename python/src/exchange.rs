@@ -42,6 +42,13 @@ pub struct Slot {
     answer_v: Option<f64>,
 }
 
+impl Slot {
+    /// The last voltage that the motor got under the policy, V.
+    pub fn sent_v(&self) -> f64 {
+        f64::from(self.commands[0]) * MAX_VOLTAGE_V
+    }
+}
+
 impl Exchange {
     /// Begins an episode.
     pub fn begin(&self) {

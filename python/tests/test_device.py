@@ -66,12 +66,13 @@ def test_the_classical_controller_swings_up_from_python_and_its_recording_replay
     assert env.deadline_ms is None
     rewards, terminated, info, observations = episode(env, classical.act)
     assert not terminated and info["ending"] == "completed" and len(rewards) == 600
-    assert info["return"] > 400.0 and info["late_answers"] == 0
+    assert info["return"] > 400.0 and info["late_answers"] == 0 and info["ticks"] == 1
     # No sample is lost here, so that Python is asked in every tick.
     assert np.isclose(sum(rewards), info["return"])
     read = qube_hil.recording(info["recording"])
     running = read["phase"] == "running"
     assert read.return_ == info["return"] and running.sum() == 600
+    assert np.isclose(info["voltage_v"], read["voltage_v"][running][-1], atol=1e-6)
     seen = np.sin(read["theta_rad"][running]).astype(np.float32)
     assert np.allclose([observation[0] for observation in observations[:-1]], seen, atol=1e-6)
     assert read.policy.kind == "external"

@@ -372,7 +372,7 @@ def test_a_bad_policy_or_observation_is_named(tmp_path):
     with pytest.raises(qube_hil.PolicyError, match="safetensors"):
         Policy.from_bytes(b"nothing")
     policy = qube_hil.train(**SMALL).policy
-    for wrong in [np.zeros(5), np.zeros((2, 3, 6)), np.full(6, np.nan), "x", None]:
+    for wrong in [np.zeros(5), np.zeros((2, 3, 6)), np.full(6, np.nan), "x", None, np.ones(6) + 1j, ["0"] * 6]:
         with pytest.raises(qube_hil.ActionError):
             policy.act(wrong)
 
