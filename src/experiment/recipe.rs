@@ -62,11 +62,14 @@ impl Recipe {
         let file: RecipeFile = toml::from_str(&text)
             .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
         check_name("name", &file.name).map_err(|refused| unreadable(refused.to_string()))?;
-        for key in ["name", "model", "seed", "emulated"] {
+        for (key, what_to_do) in [
+            ("name", "give `name` at the top of the file, outside of [settings]"),
+            ("model", "give `model` at the top of the file, outside of [settings]"),
+            ("seed", "leave it out, because the experiment gives it"),
+            ("emulated", "leave it out, because the experiment gives it"),
+        ] {
             if file.settings.contains_key(key) {
-                let reason = format!(
-                    "settings.{key} has no effect in a recipe, because the experiment gives it: leave it out"
-                );
+                let reason = format!("settings.{key} has no effect in a recipe: {what_to_do}");
                 return Err(unreadable(reason));
             }
         }
@@ -142,6 +145,10 @@ mod tests {
             ("name = \"a\"\nmodel = \"nominal\"\n\n[settings]\nfamly = \"normal\"\n", "line 5,"),
             ("name = \"a\"\nmodel = \"nominl\"\n", "nominl"),
             ("name = \"a\"\nmodel = \"nominal\"\n[settings]\nseed = 3\n", "settings.seed"),
+            (
+                "name = \"a\"\nmodel = \"nominal\"\n[settings]\nmodel = \"robust\"\n",
+                "give `model` at the top",
+            ),
             (
                 "name = \"a\"\nmodel = \"nominal\"\n[settings.emulated.model.gap]\ncommand_delay_s = 0.03\n",
                 "settings.emulated",

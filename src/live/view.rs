@@ -22,7 +22,8 @@ pub struct LiveSettings {
     /// Address to listen on; port 0 takes any free port.
     pub address: SocketAddr,
     /// Origins of further web pages that may read the feed, for example `https://app.foxglove.dev`.
-    /// The view's own page, and pages that a browser loads from its own computer, always may.
+    /// The view's own page always may, as may pages that a browser loads from its own computer and,
+    /// by WebSocket, programs whose origin has a scheme of its own.
     pub origins: Vec<String>,
 }
 

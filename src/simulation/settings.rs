@@ -12,7 +12,7 @@ use super::{Psi, SimulationSettingError, box_file};
 #[serde(deny_unknown_fields, default)]
 pub struct SimulationSettings {
     /// Sensors through which policy and reward see the state. With encoders, the guard sees it
-    /// through a filter of its own.
+    /// through a velocity filter with a corner of at least 200 rad/s, whatever the policy's is.
     pub sensors: SensorModel,
     /// Number of last commands in an observation in addition to the state, 0 to
     /// [`crate::qube::MAX_HISTORY`]. They show the policy which voltages have not reached the motor

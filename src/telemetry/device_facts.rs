@@ -3,7 +3,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 /// Facts about a device by name: its identity (kind, serial, firmware version, protocol version,
-/// port), and where it was measured the timing of its link.
+/// port); the timing of its link, if it was measured; and for a device without a clock the assumed
+/// age of its samples.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct DeviceFacts(BTreeMap<String, String>);

@@ -10,7 +10,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::mishap::{Mishap, Moment, Wrong};
+use super::mishap::{Mishap, Moment, TickMishaps};
 use super::plant::Plant;
 
 /// Time since the last arm or accepted act after which the device switches its amplifier off, ns.
@@ -117,7 +117,7 @@ pub struct Qube {
     fed_ns: u64,
     sampled_ns: Option<u64>,
     applied_mv: i16,
-    wrong: Wrong,
+    wrong: TickMishaps,
 }
 
 impl Qube {
@@ -142,7 +142,7 @@ impl Qube {
             fed_ns: 0,
             sampled_ns: None,
             applied_mv: 0,
-            wrong: Wrong::default(),
+            wrong: TickMishaps::default(),
         }
     }
 
@@ -250,7 +250,7 @@ impl Device for Qube {
         self.catch_up();
         self.wrong = self.mishap.tick(&self.moment());
         self.dead |= self.wrong.dead;
-        self.went_wrong |= self.wrong != Wrong::default() && self.hit_in.is_none();
+        self.went_wrong |= self.wrong != TickMishaps::default() && self.hit_in.is_none();
         let settles_for_ever =
             self.progress.steps() == 0 && self.plant.now_ns > self.rollout_began_ns + PATIENCE_NS;
         if self.wrong.stop || settles_for_ever {

@@ -14,7 +14,7 @@ pub enum MishapKind {
     LostTwice,
     /// One act comes up to 20 ms late.
     Stalled,
-    /// Samples are lost, and elsewhere an act comes late.
+    /// Samples are lost, and at an independent time an act comes late.
     LostAndStalled,
     /// A stop is requested.
     StopAsked,
@@ -73,9 +73,9 @@ pub struct Moment {
     pub state: State,
 }
 
-/// The mishap of a tick.
+/// The mishaps of a tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Wrong {
+pub struct TickMishaps {
     pub lost: bool,
     pub dead: bool,
     pub stop: bool,
@@ -127,21 +127,23 @@ impl Mishap {
     }
 
     /// The mishap of the tick that begins.
-    pub fn tick(&mut self, moment: &Moment) -> Wrong {
+    pub fn tick(&mut self, moment: &Moment) -> TickMishaps {
         let (loss, stall) = (self.loss.tick(moment), self.stall.tick(moment));
         let burst = loss.is_some_and(|ticks| ticks < self.lost);
         let again = self.lost + self.pause;
         let second = loss.is_some_and(|ticks| (again..again + self.lost).contains(&ticks));
         let stall_ns = if stall == Some(0) { self.stall_ns } else { 0 };
-        let none = Wrong::default();
+        let none = TickMishaps::default();
         match self.kind {
             MishapKind::Clean => none,
-            MishapKind::Lost => Wrong { lost: burst, ..none },
-            MishapKind::LostTwice => Wrong { lost: burst || second, ..none },
-            MishapKind::Stalled => Wrong { stall_ns, ..none },
-            MishapKind::LostAndStalled => Wrong { lost: burst, stall_ns, ..none },
-            MishapKind::StopAsked => Wrong { stop: loss.is_some(), ..none },
-            MishapKind::LinkDead => Wrong { lost: loss.is_some(), dead: loss.is_some(), ..none },
+            MishapKind::Lost => TickMishaps { lost: burst, ..none },
+            MishapKind::LostTwice => TickMishaps { lost: burst || second, ..none },
+            MishapKind::Stalled => TickMishaps { stall_ns, ..none },
+            MishapKind::LostAndStalled => TickMishaps { lost: burst, stall_ns, ..none },
+            MishapKind::StopAsked => TickMishaps { stop: loss.is_some(), ..none },
+            MishapKind::LinkDead => {
+                TickMishaps { lost: loss.is_some(), dead: loss.is_some(), ..none }
+            }
         }
     }
 }

@@ -38,8 +38,8 @@ const SPARE_QUBES: u64 = 20;
 /// One homing may fail for every so many Qubes; usually fewer than 1 of 1000 fails.
 const QUBES_PER_FAILED_HOMING: u64 = 100;
 
-/// Longest delay from a command to the motor, s. At a delay of a period, a voltage that alternates
-/// in each period reaches the motor when the next sample is taken.
+/// Longest delay from a command to the motor, s. The delays thus include one period, 10 ms, at which
+/// an alternating voltage changes at the motor just when a sample is taken.
 const SLOWEST_S: f64 = 16e-3;
 
 /// Jitter of the delay, s.
@@ -62,8 +62,8 @@ struct BangBang {
 impl BangBang {
     fn new(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut normal = || 2.0 * rng.random::<f64>() - 1.0;
-        let plane = [3.0 * normal(), 0.3 * normal(), 3.0 * normal(), 0.3 * normal()];
+        let mut uniform = || 2.0 * rng.random::<f64>() - 1.0;
+        let plane = [3.0 * uniform(), 0.3 * uniform(), 3.0 * uniform(), 0.3 * uniform()];
         let plane = (seed % 2 == 1).then_some(plane);
         let longest = [1, 2, 5, 20, 60][rng.random_range(0..5)];
         Self { rng, plane, longest, left: 0, sign: 1.0 }

@@ -42,9 +42,10 @@ impl TwoHumped {
     };
 
     /// Correlation of two rollouts of a policy, chosen for trainings that differ as they do for the
-    /// emulated Qube `lab`. There 20 policies were trained at one psi. Of these 7 succeed, in four
-    /// or five of five rollouts each, and 37 of all 100 rollouts balance (docs/results.md, table
-    /// 5.3, `opt-nominal`). Correlations from 0.33 to 0.94 are compatible with these counts.
+    /// emulated Qube `lab`. Of 20 policies that were trained at one psi, 7 succeeded there, in four
+    /// or five of five rollouts each, and 37 of all 100 rollouts balanced (revision 7f251fcf,
+    /// docs/results.md, table 5.3, `opt-nominal`). Correlations from 0.33 to 0.94 are compatible
+    /// with these counts.
     pub const OF_TRAININGS: f64 = 0.8;
 
     /// The same problem with trainings that differ.
