@@ -194,7 +194,7 @@ impl SessionProgress {
         self.candidates = counts.total.map_or(last, |total| total - u32::from(self.copy_to_come));
         let text = proposed(candidate, purpose, why, counts);
         self.proposed(candidate, purpose, &text, counts);
-        self.line(text + &left_in_all(self.time_left(), purpose, counts));
+        self.line(text + &until_last_training(self.time_left(), purpose, counts));
     }
 
     /// Shows an update of a training.
@@ -352,9 +352,13 @@ fn proposed(candidate: u32, purpose: Purpose, why: &str, counts: &CandidateCount
 }
 
 /// The end of a proposal's line that says how much time is left until the last training ends, or at
-/// most in a search that may end early; empty if the time is not known, as in such a search once a policy is
-/// verified or compared, because this may be the last candidate.
-fn left_in_all(left: Option<Duration>, purpose: Purpose, counts: &CandidateCounts) -> String {
+/// most in a search that may end early. It is empty if the time is not known, as in such a search
+/// once a policy is verified or compared, because this may be the last candidate.
+fn until_last_training(
+    left: Option<Duration>,
+    purpose: Purpose,
+    counts: &CandidateCounts,
+) -> String {
     let Some(left) = left.map(in_words) else { return String::new() };
     match counts.total {
         Some(_) => format!("; about {left} until the last training ends"),
@@ -403,7 +407,11 @@ mod tests {
     #[test]
     fn the_time_left_of_a_search_that_may_end_early_is_a_limit() {
         let told = |total, purpose, left| {
-            left_in_all(left, purpose, &CandidateCounts { searched: 3, most_searched: 10, total })
+            until_last_training(
+                left,
+                purpose,
+                &CandidateCounts { searched: 3, most_searched: 10, total },
+            )
         };
         let left = Some(Duration::from_secs(240));
         assert_eq!(
