@@ -12,10 +12,11 @@
 //! square errors of theta and alpha in rad for one kind of motion, and the number of predictions
 //! in brackets. The name of a row for one recording ends with the duration of the fit.
 //!
-//! With `terms`, it asks what each term of the equations beyond the thesis's is worth: it fits again
-//! without friction, dead zones, cable or delay, and prints how much less likely the recordings that
-//! were left out become, in nats a prediction. An error of a prediction counts as normal, with the
-//! root mean square of the same errors on the fitted recordings as its standard deviation.
+//! With `terms`, it asks what each term of the equations beyond the thesis's is worth: it fits
+//! again without friction, dead zones, cable or delay, and prints how much less likely the
+//! recordings that were left out become, in nats a prediction. An error of a prediction counts as
+//! normal, with the root mean square of the same errors on the fitted recordings as its standard
+//! deviation.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -172,8 +173,8 @@ impl Without {
     }
 }
 
-/// Prints what each of [`TERMS`] is worth: how much less likely each recording is under a fit to the
-/// others that leaves the term out.
+/// Prints what each of [`TERMS`] is worth: how much less likely each recording is under a fit to
+/// the others that leaves the term out.
 fn worth_of_terms(files: &[PathBuf], logs: &[MotionLog]) {
     let indices: Vec<usize> = (0..logs.len()).collect();
     // For each recording, the logarithm of its density and the number of its predictions.

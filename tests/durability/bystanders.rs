@@ -1,5 +1,6 @@
-//! Tests that failures beside the tick do not reach it (a disk that stalls, a recorder that dies, an
-//! orchestrator that hangs), and that the amplifier is switched off when the control thread dies.
+//! Tests that failures beside the tick do not reach it (a disk that stalls, a recorder that dies,
+//! an orchestrator that hangs), and that the amplifier is switched off when the control thread
+//! dies.
 
 use std::ffi::OsString;
 use std::fmt;

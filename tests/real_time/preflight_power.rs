@@ -16,8 +16,8 @@ use serde_json::Value;
 use crate::busy_computer::{TOO_LATE, in_real_time};
 use crate::program::program;
 
-/// Time at which the arm is carried to its stop, by the board's clock, s: after a check, which lasts
-/// 10 s.
+/// Time at which the arm is carried to its stop, by the board's clock, s: after a check, which
+/// lasts 10 s.
 const AT_STOP_S: u64 = 15;
 
 /// Seed of the tested Qube and serial number of its board.

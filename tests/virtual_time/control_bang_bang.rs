@@ -38,8 +38,8 @@ const SPARE_QUBES: u64 = 20;
 /// One homing may fail for every so many Qubes; usually fewer than 1 of 1000 fails.
 const QUBES_PER_FAILED_HOMING: u64 = 100;
 
-/// Longest delay from a command to the motor, s. The delays thus include one period, 10 ms, at which
-/// an alternating voltage changes at the motor just when a sample is taken.
+/// Longest delay from a command to the motor, s. The delays thus include one period, 10 ms, at
+/// which an alternating voltage changes at the motor just when a sample is taken.
 const SLOWEST_S: f64 = 16e-3;
 
 /// Jitter of the delay, s.
