@@ -62,7 +62,8 @@ pub enum Reply {
 pub struct Episode {
     pub ending: Ending,
     pub return_: f64,
-    /// State after the last voltage of the episode; zero if the episode has no running tick.
+    /// State after the last voltage of the episode, or before it if no later tick is recorded; zero
+    /// if the episode has no running tick.
     pub last_state: QubeState,
 }
 

@@ -19,7 +19,7 @@ pub enum Sensors {
 
 /// The arguments of the estimator whose state the policy sees.
 #[derive(Clone, Debug, Default, clap::Args)]
-#[command(next_help_heading = "What the policy sees")]
+#[command(next_help_heading = "Estimator")]
 pub struct EstimatorArguments {
     /// Estimator: `filter` for the velocities, or `observer` for the whole state from a model, the
     /// voltages sent and the delay [default: filter]

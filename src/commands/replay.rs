@@ -46,8 +46,8 @@ pub struct Arguments {
     #[arg(long)]
     simulate: bool,
 
-    /// The Qube to simulate, which --simulate is not needed for then: `ideal`, `lab`, or a file
-    /// that `identify` wrote [default: the nominal plant of each recording]
+    /// Qube to simulate, also without --simulate: `ideal`, `lab`, or a file that `identify` wrote
+    /// [default: the nominal plant of each recording]
     #[arg(long, value_name = "ideal|lab|FILE")]
     profile: Option<PathBuf>,
 
@@ -94,7 +94,7 @@ struct Report {
     /// Recomputed prediction for which foresight ended the rollout, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     foreseen: Option<Foreseen>,
-    /// How the Qube contradicted its profile, recomputed, if this ended the rollout.
+    /// Recomputed contradiction of the profile by which the rollout ended, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     contradiction: Option<Contradiction>,
     /// Defect that was found, if any.

@@ -12,8 +12,8 @@ pub enum ControlState {
     Checking,
     /// Examined, amplifier off.
     Checked,
-    /// Like `Identified`, but after a latched fault: the arm must be seen at rest before anything
-    /// moves it.
+    /// The device has answered a hello after a latched fault: the arm must be seen at rest before
+    /// anything moves it.
     Cleared,
     /// Amplifier on: the arm is watched until it has been at rest for 1 s.
     Resting,

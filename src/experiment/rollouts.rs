@@ -16,7 +16,7 @@ use crate::telemetry::Ending;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RolloutResult {
     /// Return, the sum of the rewards; `None` where every attempt is void: ended by a fault, or
-    /// recorded with gaps.
+    /// recorded with ticks missing.
     pub return_: Option<f64>,
     /// Class of its behaviour.
     pub behaviour: Behaviour,
@@ -59,7 +59,7 @@ impl RecordedState {
     }
 }
 
-/// A folder of recordings, and whose rollouts they are.
+/// A folder of recordings, with the policy that made them.
 pub(super) struct RolloutFolder {
     /// Path of the folder.
     pub path: PathBuf,

@@ -208,9 +208,9 @@ impl Profile {
         Ok(profile)
     }
 
-    /// The largest accepted standard error of a quantity, in its unit: ten times the parameter, or
-    /// the width of a nonideality's range. `identify` finds at most twice the parameter; a larger
-    /// error would say nothing about it.
+    /// The largest accepted standard error of a quantity, in its unit: ten times the larger one of
+    /// the parameter and the nominal Qube's, or the width of a nonideality's range. `identify`
+    /// finds at most twice the parameter; a larger error would say nothing about it.
     fn largest_standard_error(&self, quantity: Quantity) -> f64 {
         match quantity {
             Quantity::Parameter(parameter) => {

@@ -12,7 +12,7 @@ use crate::qube::{PlantModel, State};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(
     deny_unknown_fields,
-    default = "SafetyBox::of_silent_files",
+    default = "SafetyBox::default_of_files",
     bound(deserialize = "T: Scalar + Deserialize<'de>")
 )]
 pub struct SafetyBox<T = f64> {
@@ -45,7 +45,7 @@ pub enum Limit {
     /// Foresight: after the voltage that the policy asked for, the brake could no longer keep the
     /// arm of every possible Qube away from its stop.
     Foresight,
-    /// The Qube has moved as no Qube within its profile's errors does.
+    /// The profile: the Qube has moved out of the range that the profile's errors allow.
     Unpredicted,
     /// The policy has driven the motor to
     /// [`LARGEST_LOAD`](super::motor_heat::LARGEST_LOAD) of its continuous rating.
@@ -150,8 +150,8 @@ impl<T: Scalar> SafetyBox<T> {
 }
 
 impl<T: Scalar> SafetyBox<T> {
-    /// The box that supplies each limit, and the guard, that a file does not name: the thesis's.
-    fn of_silent_files() -> Self {
+    /// The thesis's box, which supplies each limit, and the guard, that a file does not name.
+    fn default_of_files() -> Self {
         SafetyBox::THESIS.cast()
     }
 }

@@ -23,7 +23,7 @@ pub(super) struct FolderWatch<'a> {
     beaten: Instant,
     /// Wait before the next search for results.
     wait: Duration,
-    /// Patience with the search for results and failed jobs.
+    /// Time for which a failing search for results and failed jobs is repeated.
     looking: Patience,
     claim_watch: HeartbeatWatch,
     /// Time of the last search for jobs that have failed too often.
@@ -31,7 +31,7 @@ pub(super) struct FolderWatch<'a> {
     worker_pool: Option<WorkerPool>,
     /// Time at which the pool last started missing workers; `None` if no job was open then.
     tended: Option<Instant>,
-    /// Patience with the start of workers.
+    /// Time for which a failing start of workers is repeated.
     tending: Patience,
 }
 

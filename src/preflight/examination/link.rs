@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_misses_one_of_a_hundred_fails_with_a_remedy() {
+    fn a_link_that_loses_more_than_one_of_a_hundred_fails_with_a_remedy() {
         for (p99_ms, lost, passes) in
             [(1.0, 0, true), (8.4, 6, true), (8.6, 0, false), (1.0, 7, false)]
         {

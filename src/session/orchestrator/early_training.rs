@@ -17,14 +17,14 @@ pub(super) struct EarlyTraining {
 pub(super) enum EarlyKind {
     /// The policy for an unidentified Qube, which a doubted identification needs.
     Competitor,
-    /// The baseline.
+    /// The policy that is trained on the nominal Qube, for comparison.
     Baseline,
 }
 
 impl EarlyTraining {
     /// The training that the session may still need: the competitor until the identification is
-    /// sure or the first candidate is trained, and the baseline while the policy that may be the
-    /// last one is verified.
+    /// sure or refused, or the first candidate is trained, and the baseline while the policy that
+    /// may be the last one is verified.
     pub(super) fn of(
         state: &SessionState,
         plan: &IdentificationSettings,
