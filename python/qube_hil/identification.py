@@ -40,7 +40,7 @@ class LeftOutRecording:
     file: str
     """Path of the file."""
     reason: str
-    """What it lacks, in a sentence that names the file."""
+    """The reason, in a sentence that names the file."""
 
 
 @dataclass(frozen=True)

@@ -188,7 +188,7 @@ impl SessionPreset {
     }
 }
 
-/// How a session comes to its policy.
+/// The method by which a session comes to its policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum SessionMethod {
     /// Identify the Qube, then search around it.

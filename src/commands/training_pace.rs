@@ -10,7 +10,7 @@ use super::screen::time_left;
 pub struct TrainingPace {
     /// Number of updates of a candidate, over all its trainings.
     updates: u32,
-    /// When the first update was made, and the number of its candidate.
+    /// Time of the first update, and the number of its candidate.
     began: Option<(Instant, u32)>,
     /// Number of candidates whose trainings have ended since this process began.
     trained: u32,

@@ -1,4 +1,4 @@
-//! How a step of the fit changes the model.
+//! Applies a step of the fit to the model.
 
 use super::Unknown;
 use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};

@@ -29,7 +29,7 @@ pub struct Rerun {
     /// Recomputed prediction for which foresight ended the rollout; `None` if foresight did not end
     /// it.
     pub foreseen: Option<Foreseen>,
-    /// How the Qube contradicted its profile, recomputed, if this ended the rollout.
+    /// Recomputed contradiction of the profile by which the rollout ended; `None` if it did not.
     pub contradiction: Option<Contradiction>,
     /// Recomputed tick at which foresight was nearest to ending the policy; `None` if the guard was
     /// not foresight, or if no policy ran.

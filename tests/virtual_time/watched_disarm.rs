@@ -19,7 +19,7 @@ pub struct Timed {
     pub clock: VirtualClock,
     /// Time from which the device confirms no disarm, ns.
     pub off_unconfirmed_from_ns: Nanoseconds,
-    /// Where each disarm looks whether a doubt is stored; `None` to ask nothing.
+    /// Place in which each disarm looks for a stored doubt; `None` looks for none.
     pub awaited: Option<AwaitedDoubt>,
     /// Whether the computer stalls for 60 ms before the next disarm, so that the watchdog trips.
     pub stalls: Arc<AtomicBool>,

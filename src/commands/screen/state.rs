@@ -18,7 +18,7 @@ pub struct Training {
     pub updates: u32,
     /// Mean return after each update so far.
     pub returns: Vec<f64>,
-    /// When the first update was done.
+    /// Time of the first update.
     pub began: Instant,
 }
 
@@ -68,7 +68,7 @@ pub enum Overlay {
 pub struct ScreenState {
     /// Command and folder.
     pub title: String,
-    /// When the command began.
+    /// Time at which the command began.
     pub began: Instant,
     /// The present work, such as `candidate 3 (4 of 12): proposed by the search`.
     pub work: String,
