@@ -17,18 +17,19 @@ class Recording(dict[str, npt.NDArray[Any]]):
 
     ``pandas.DataFrame(recording)`` and ``polars.DataFrame(recording)`` make tables of it. The columns: ``tick``,
     ``time_s`` (since the first tick), ``phase`` (settling, running or braking), the state that the policy sees
-    (``theta_rad``, ``alpha_rad``, ``theta_dot_rad_s``, ``alpha_dot_rad_s``), ``wanted_v`` (asked for by the
-    policy, where no asking push replaced its voltage, by settling or by the brake), ``voltage_v`` (sent), ``reward`` (0 outside of running), the sample (``has_sample``, ``device_time_s``,
-    ``theta_counts``, ``alpha_counts``, ``measured_theta_rad``, ``measured_alpha_rad``, ``tachometer_rad_s``,
-    ``current_a``, ``applied_v``, ``sample_to_act_us``), and the timing (``lateness_us``, ``turnaround_us``,
-    ``skipped_periods``). Numbers that a tick does not have are NaN.
+    (``theta_rad``, ``alpha_rad``, ``theta_dot_rad_s``, ``alpha_dot_rad_s``), ``wanted_v`` (asked for by the policy,
+    where no asking push replaced its voltage, by settling or by the brake), ``voltage_v`` (sent), ``reward`` (0 outside
+    of running), the sample (``has_sample``, ``device_time_s``, ``theta_counts``, ``alpha_counts``,
+    ``measured_theta_rad``, ``measured_alpha_rad``, ``tachometer_rad_s``, ``current_a``, ``applied_v``,
+    ``sample_to_act_us``), and the timing (``lateness_us``, ``turnaround_us``, ``skipped_periods``). Numbers that a tick
+    does not have are NaN.
     """
 
     header: dict[str, Any]
     """The record before the rollout: device, settings, seed, versions."""
     outcome: dict[str, Any] | None
-    """The record after the rollout: ``ending`` (a dictionary with its ``kind``), ``steps``, latencies; None if the recording does not say how the rollout
-    ended: it was cut off before."""
+    """The record after the rollout: ``ending`` (a dictionary with its ``kind``), ``steps``, latencies; None if the
+    recording does not say how the rollout ended: it was cut off before."""
     return_: float
     """Sum of the rewards of the ticks that the file has: of a part of the rollout if the recording is not whole."""
     is_whole: bool

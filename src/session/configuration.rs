@@ -320,6 +320,10 @@ mod tests {
         std::fs::write(&path, settings.to_toml().unwrap()).unwrap();
         assert_eq!(SessionSettings::load(&path).unwrap(), settings);
         assert_eq!(SessionSettings::load_to_resume(&path).unwrap(), settings);
+        let older = settings.to_toml().unwrap();
+        let older = older.replace("[training]\n", "[training]\nwidening = 0.6\n");
+        std::fs::write(&path, older).unwrap();
+        assert_eq!(SessionSettings::load(&path).unwrap().seed, u64::MAX, "beside a retired entry");
     }
 
     #[test]
