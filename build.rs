@@ -13,8 +13,8 @@ fn main() {
     }
 }
 
-/// Whether this folder is a repository of its own. Git also finds a repository that contains this
-/// folder, such as the project of a user who unpacked an archive inside it.
+/// Returns whether this folder is a repository of its own. Git also finds a repository that
+/// contains this folder, such as the project of a user who unpacked an archive inside it.
 fn is_repository() -> bool {
     let here = std::env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
     let top = git(&["rev-parse", "--show-toplevel"]);
@@ -25,7 +25,8 @@ fn is_repository() -> bool {
     }
 }
 
-/// The output of a git command; `None` if it fails, without git, or outside a repository.
+/// Returns the output of a git command; `None` without git, and if the command fails (as outside a
+/// repository) or prints nothing.
 fn git(arguments: &[&str]) -> Option<String> {
     let output = Command::new("git").args(arguments).output().ok()?;
     let printed = String::from_utf8(output.stdout).ok()?.trim().to_owned();

@@ -1,11 +1,11 @@
 //! Time that the guard adds to a tick while a policy runs: the prediction of the brake for 64
 //! Qubes, and on an identified Qube the comparison of each sample with its particles.
 //!
-//! `cargo bench --bench foresight`; pin it to one core for comparable figures. The rollouts are
-//! those of the shipped policy `robust` on `lab`. For each belief about the Qube (any Qube, or an
-//! identified one), with AVX-512 and with AVX2 if the processor has them, it prints mean, 99th
-//! percentile and maximum over the ticks of fifty rollouts, where the time of a tick is the
-//! shortest of five tries. Criterion measures the first of these rollouts as a whole.
+//! `cargo bench --bench foresight`; pin it to one core for comparable figures. In the rollouts the
+//! shipped policy `robust` drives `lab`. For each belief about the Qube (any Qube, or an identified
+//! one), with AVX-512 and with AVX2 if the processor has them, it prints mean, 99th percentile and
+//! maximum over the ticks of fifty rollouts, where the time of a tick is the shortest of five
+//! tries. Criterion measures the first of these rollouts as a whole.
 
 use std::path::Path;
 use std::time::Instant;
@@ -35,7 +35,8 @@ struct Tick {
 }
 
 fn rollout(model: &QubeModel, seed: u64) -> Vec<Tick> {
-    let mut policy = Policy::load(Path::new("policies/robust.safetensors")).expect("the policy");
+    let mut policy = Policy::load(Path::new("policies/robust.safetensors"))
+        .expect("the shipped policy can be read");
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut angle = || 0.1 * (2.0 * rng.random::<f32>() - 1.0);
     let start = State { theta: angle(), alpha: angle(), theta_dot: 0.0, alpha_dot: 0.0 };

@@ -3,7 +3,8 @@
 //!
 //! Rollouts with and without trainings alternate in one run. For each of five pairs the program
 //! prints the 99th percentile of the lateness with trainings, divided by the 99th percentile
-//! without; at the end it prints the median of these ratios.
+//! without; after the pairs it prints the median of these ratios. It does so for trainings that
+//! leave a core free, then for trainings on all cores.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -23,17 +24,18 @@ use qube_hil::telemetry::LatencySummary;
 
 const PAIRS: usize = 5;
 
-/// Number of rollouts on either side of a pair. In a single rollout the 99th percentile is the
-/// lateness of its sixth worst tick, which one interruption of the computer decides.
+/// Number of rollouts on either side of a pair. In a single rollout fewer than ten ticks are later
+/// than the 99th percentile, so that one interruption of the computer decides it.
 const ROLLOUTS: usize = 4;
 
 /// Time that the host of a virtual machine has taken from its processors so far, ms; 0 where Linux
 /// does not report this time. This loss makes ticks late whatever this program does.
 fn stolen_ms() -> f64 {
     let text = std::fs::read_to_string("/proc/stat").unwrap_or_default();
-    let ticks = text.lines().next().and_then(|all| all.split_whitespace().nth(8)?.parse().ok());
+    let hundredths =
+        text.lines().next().and_then(|all| all.split_whitespace().nth(8)?.parse().ok());
     // Linux reports the time in hundredths of a second (proc(5)).
-    10.0 * ticks.unwrap_or(0.0)
+    10.0 * hundredths.unwrap_or(0.0)
 }
 
 /// The lateness in `ROLLOUTS` rollouts of the classical controller, us.

@@ -28,7 +28,7 @@ fn parts(criterion: &mut Criterion) {
     group.bench_function("collect_48000", |bencher| bencher.iter(|| workbench.collect()));
     group.bench_function("evaluate_100", |bencher| bencher.iter(|| workbench.evaluate()));
     group.bench_function("whole", |bencher| {
-        bencher.iter(|| workbench.update().expect("nothing stops it"));
+        bencher.iter(|| workbench.update().expect("nothing stops the update"));
     });
     group.finish();
 }

@@ -22,9 +22,9 @@ fn virtual_rollout(criterion: &mut Criterion) {
     device.hello().expect("an emulated Qube answers");
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
-    drive(&mut device, &clock, &mut homing, None, &stop).expect("it arms");
+    drive(&mut device, &clock, &mut homing, None, &stop).expect("the Qube is homed");
     let settings = TickSettings {
-        calibration: homing.calibration().expect("it homes"),
+        calibration: homing.calibration().expect("homing has found the middle"),
         estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
         max_steps: 600,
@@ -37,14 +37,14 @@ fn virtual_rollout(criterion: &mut Criterion) {
     let network = Policy::load(std::path::Path::new("policies/nominal.safetensors"));
     let classical = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     for (name, policy) in
-        [("classical", classical), ("network", network.expect("the shipped policy"))]
+        [("classical", classical), ("network", network.expect("the policy can be read"))]
     {
         criterion.bench_function(&format!("virtual rollout, {name}"), |bencher| {
             bencher.iter(|| {
                 let (mut producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
                 let mut tick = Tick::new(&settings, policy.clone());
                 drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop)
-                    .expect("it drives")
+                    .expect("the rollout ends without a fault")
             });
         });
     }

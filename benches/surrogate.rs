@@ -16,11 +16,11 @@ use qube_hil::surrogate::{
 const DIMENSIONS: usize = 8;
 
 /// Samples of a hump over the unit cube, similar to a return, with noise of standard deviation 15.
-fn data(n: usize) -> Dataset {
+fn data(count: usize) -> Dataset {
     let search_box = SearchBox::unit(DIMENSIONS).expect("eight dimensions");
     let centre = [0.3, 0.6, 0.5, 0.4, 0.7, 0.2, 0.5, 0.5];
     let weight = [3.0, 2.0, 2.5, 0.5, 1.0, 1.5, 0.1, 0.05];
-    let points: Vec<Vec<f64>> = (0..n).map(|i| sobol_point(i, DIMENSIONS, 1)).collect();
+    let points: Vec<Vec<f64>> = (0..count).map(|i| sobol_point(i, DIMENSIONS, 1)).collect();
     let values: Vec<f64> = points
         .iter()
         .enumerate()
@@ -38,43 +38,47 @@ fn settings() -> FitSettings {
     FitSettings { mean: MeanFunction::Constant, priors: PriorSet::Gamma, ..FitSettings::default() }
 }
 
-fn fitted(n: usize) -> GaussianProcess {
-    GaussianProcess::fit(data(n), &settings()).expect("noise keeps the covariance definite")
+fn fitted(count: usize) -> GaussianProcess {
+    GaussianProcess::fit(data(count), &settings()).expect("noise keeps the covariance definite")
 }
 
-fn fit(c: &mut Criterion) {
-    let mut group = c.benchmark_group("fit");
-    for n in [25, 100, 500, 1000, 2000] {
-        group.sample_size(if n < 100 { 30 } else { 10 });
-        group.bench_with_input(BenchmarkId::from_parameter(n), &data(n), |b, data| {
-            b.iter(|| GaussianProcess::fit(black_box(data.clone()), &settings()));
-        });
+fn fit(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("fit");
+    for count in [25, 100, 500, 1000, 2000] {
+        group.sample_size(if count < 100 { 30 } else { 10 });
+        group.bench_with_input(
+            BenchmarkId::from_parameter(count),
+            &data(count),
+            |bencher, data| {
+                bencher.iter(|| GaussianProcess::fit(black_box(data.clone()), &settings()));
+            },
+        );
     }
     group.finish();
 }
 
-fn maximise_acquisition(c: &mut Criterion) {
-    let mut group = c.benchmark_group("maximise");
+fn maximise_acquisition(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("maximise");
     let settings = MaximiserSettings::default();
-    for n in [25, 100, 500, 1000, 2000] {
-        group.sample_size(if n < 100 { 30 } else { 10 });
-        let process = fitted(n);
+    for count in [25, 100, 500, 1000, 2000] {
+        group.sample_size(if count < 100 { 30 } else { 10 });
+        let process = fitted(count);
         let search_box = process.data().search_box().clone();
-        group.bench_with_input(BenchmarkId::new("log-ei", n), &process, |b, process| {
+        group.bench_with_input(BenchmarkId::new("log-ei", count), &process, |bencher, process| {
             let incumbent = process.data().largest_value();
             let acquisition =
                 OnProcess { process, criterion: LogExpectedImprovement { incumbent } };
-            b.iter(|| maximise(black_box(&acquisition), &search_box, &[], &settings));
+            bencher.iter(|| maximise(black_box(&acquisition), &search_box, &[], &settings));
         });
-        group.bench_with_input(BenchmarkId::new("log-nei", n), &process, |b, process| {
-            b.iter(|| {
+        group.bench_with_input(BenchmarkId::new("log-nei", count), &process, |bencher, process| {
+            bencher.iter(|| {
                 let acquisition = LogNoisyExpectedImprovement::new(process, &[], 1);
-                acquisition.map(|it| maximise(black_box(&it), &search_box, &[], &settings))
+                acquisition.map(|usable| maximise(black_box(&usable), &search_box, &[], &settings))
             });
         });
-        group.bench_with_input(BenchmarkId::new("log-kg", n), &process, |b, process| {
+        group.bench_with_input(BenchmarkId::new("log-kg", count), &process, |bencher, process| {
             let acquisition = LogKnowledgeGradient::new(process, &[]);
-            b.iter(|| maximise(black_box(&acquisition), &search_box, &[], &settings));
+            bencher.iter(|| maximise(black_box(&acquisition), &search_box, &[], &settings));
         });
     }
     group.finish();

@@ -4,7 +4,7 @@
 //! cargo run --release --example adversary -- [SEARCHES [OPTIONS]]
 //! ```
 //!
-//! SEARCHES is 100 unless named. OPTIONS are, in this order, `SPREAD DELAY_MS CORNER foresight|box
+//! SEARCHES is 100 by default. OPTIONS are, in this order, `SPREAD DELAY_MS CORNER foresight|box
 //! FIRST`; the last ones may be left out. SPREAD is the largest relative deviation of the Qubes'
 //! parameters, DELAY_MS the longest time from a sample to its act, CORNER the corner of the
 //! estimator's filter, rad/s, and FIRST the first seed. The exit code is 1 if an arm reached its
@@ -24,7 +24,7 @@ const GENERATIONS: u32 = 25;
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let number = |index: usize, default: f64| {
-        arguments.get(index).map_or(default, |text| text.parse().expect("a number"))
+        arguments.get(index).map_or(default, |text| text.parse().expect("a number is given"))
     };
     let domain = Domain {
         spread: number(1, PROMISED.spread),
@@ -52,7 +52,7 @@ fn main() {
                 })
             })
             .collect();
-        workers.into_iter().flat_map(|worker| worker.join().expect("no panic")).collect()
+        workers.into_iter().flat_map(|worker| worker.join().expect("no thread panics")).collect()
     });
     results
         .sort_by(|one, other| other.1.episode.farthest_rad.total_cmp(&one.1.episode.farthest_rad));

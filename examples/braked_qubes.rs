@@ -2,7 +2,7 @@
 //! that loses gain when it rings, and one that keeps its gain.
 //!
 //! `cargo run --release --example braked_qubes -- 5000` draws 5000 Qubes. Every second one has a
-//! strong motor, a short light arm and a light pendulum.
+//! strong motor, a short light arm, a light pendulum and little friction.
 
 use std::collections::VecDeque;
 

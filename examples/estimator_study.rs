@@ -196,7 +196,8 @@ fn velocity_errors(
     };
     // Shifts of up to 30 ms in either direction.
     let reach = 60;
-    let best = (-reach..=reach).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or_default();
+    let best =
+        (-reach..=reach).min_by(|one, other| off(*one).total_cmp(&off(*other))).unwrap_or_default();
     Errors {
         at_command: off(delay),
         lag_ms: (delay - best) as f64 * GRID_US as f64 * 1e-3,

@@ -1,8 +1,9 @@
 //! Measures how soon a frozen arm encoder is found during a rollout, and how wrong the zero is
 //! where the freeze is not found: `cargo run --release --example freezes -- [SEEDS [FIRST_SEED]]`.
 //!
-//! In each rollout the encoder freezes while the policy runs: for good, with its tachometer at 0 or
-//! at its last value, or for 500 ms in which counts are lost.
+//! Each seed gives a healthy rollout, in which a fault is a false alarm, and three rollouts in
+//! which the encoder freezes while the policy runs: for good, with its tachometer at 0 or at its
+//! last value, and for 500 ms in which counts are lost.
 
 #[path = "../tests/harmless/mod.rs"]
 mod harmless;
@@ -41,11 +42,11 @@ fn row(frozen: &[Freeze]) -> String {
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let number = |index: usize, default: u64| {
-        arguments.get(index).map_or(default, |text| text.parse().expect("a number"))
+        arguments.get(index).map_or(default, |text| text.parse().expect("a number is given"))
     };
     let (seeds, first_seed) = (number(0, 20), number(1, 0));
     println!(
-        "| Qube | policy | fault | freezes | found | of them within 300 ms | ms: median, 90 %, longest | counted, zero off by more than 0.05 rad | largest error of theta where counted, rad | named otherwise |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |"
+        "| Qube | policy | fault | freezes | found | of them within 300 ms | ms: median, 90 %, longest | results with the zero off by more than 0.05 rad | largest error of theta in a result, rad | ended by another fault |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |"
     );
     for (qube, settings) in qubes() {
         for (name, policy) in policies() {
@@ -66,7 +67,7 @@ fn main() {
             }
             eprintln!(
                 "{qube}, {name}: {false_alarms} false alarms in {healthy} healthy rollouts of \
-                 {seeds} seeds; {missing} rollouts with a freeze gave no result"
+                 {seeds} seeds; {missing} rollouts with a freeze could not be made"
             );
         }
     }

@@ -1,11 +1,13 @@
-//! Simulates starts of a Qube with one fault each and prints the arm's speed at its stops;
-//! `scripts/harmless-homing` runs 10^4 of them. Fails if a stop is touched faster than promised.
+//! Simulates starts of a Qube, healthy ones and others with one fault each, and prints the arm's
+//! speed at its stops; `scripts/harmless-homing` runs 10^4 of them. Fails if a stop is touched
+//! faster than promised, except with `far`, for which nothing is promised.
 //!
 //! `cargo run --release --example harmless_homing -- SEEDS [FIRST_SEED [list [CASES [far]]]]` runs
 //! each case with SEEDS seeds (10 by default). `list` also prints each start whose fault was
 //! named wrongly or not at all, that hit a stop too fast, or that gave a false result. CASES holds
 //! the names of the only cases to run, with commas between them (`all` for all); `far` draws Qubes
-//! up to 20 % off nominal instead of those near `lab`.
+//! whose masses, lengths and motor constants are up to 20 % off nominal, instead of Qubes near
+//! `lab`.
 
 #[path = "../tests/harmless/mod.rs"]
 mod harmless;
@@ -26,7 +28,7 @@ fn cases_of(names: &str) -> Vec<Case> {
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let number = |index: usize, default: u64| {
-        arguments.get(index).map_or(default, |text| text.parse().expect("a number"))
+        arguments.get(index).map_or(default, |text| text.parse().expect("a number is given"))
     };
     let (seeds, first_seed) = (number(0, 10), number(1, 0));
     let lists = arguments.get(2).is_some_and(|text| text == "list");
@@ -53,7 +55,10 @@ fn main() {
                     })
                 })
                 .collect();
-            workers.into_iter().flat_map(|worker| worker.join().expect("no panic")).collect()
+            workers
+                .into_iter()
+                .flat_map(|worker| worker.join().expect("no thread panics"))
+                .collect()
         });
         trials.sort_by_key(|(start, _)| start.seed);
         let row = Row::of(case, &trials);

@@ -12,8 +12,8 @@
 //! square errors of theta and alpha in rad for one kind of motion, and the number of predictions
 //! in brackets. The name of a row for one recording ends with the duration of the fit.
 //!
-//! With `terms`, it asks what each term of the equations beyond the thesis's is worth: it fits
-//! again without friction, dead zones, cable or delay, and prints how much less likely the
+//! With `terms`, the program measures the worth of each term of the equations beyond the thesis's:
+//! it fits again without friction, dead zones, cable or delay, and prints how much less likely the
 //! recordings that were left out become, in nats a prediction. An error of a prediction counts as
 //! normal, with the root mean square of the same errors on the fitted recordings as its standard
 //! deviation.
@@ -31,7 +31,7 @@ use qube_hil::replay::MotionLog;
 /// Horizon over which a chirp is predicted, s.
 const CHIRP_S: f64 = 9.8;
 
-/// The same where the worth of a term is asked: a recording then has many predictions of a chirp.
+/// Horizon over which a chirp is predicted with `terms`, s: a recording then has many predictions.
 const SHORT_CHIRP_S: f64 = 1.0;
 
 /// Sums of the squared errors of theta and alpha, rad^2, and the number of predictions.
@@ -98,7 +98,7 @@ fn line(name: &str, scores: &Scores) {
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let named = arguments.next().map(PathBuf::from);
-    let asks_terms = arguments.next().is_some_and(|it| it == "terms");
+    let asks_terms = arguments.next().is_some_and(|argument| argument == "terms");
     let folder = named.unwrap_or_else(|| PathBuf::from("../shared/data/qube-recordings"));
     let mut files: Vec<PathBuf> = std::fs::read_dir(&folder)
         .map(|entries| entries.filter_map(|entry| Some(entry.ok()?.path())).collect())
@@ -109,8 +109,10 @@ fn main() {
         println!("skipped: no recordings in {}", folder.display());
         return;
     }
-    let logs: Vec<MotionLog> =
-        files.iter().map(|path| MotionLog::read(path).expect("a recording")).collect();
+    let logs: Vec<MotionLog> = files
+        .iter()
+        .map(|path| MotionLog::read(path).expect("the recording can be read"))
+        .collect();
     if asks_terms {
         return worth_of_terms(&files, &logs);
     }
@@ -173,8 +175,8 @@ impl Without {
     }
 }
 
-/// Prints what each of [`TERMS`] is worth: how much less likely each recording is under a fit to
-/// the others that leaves the term out.
+/// Prints the worth of each of [`TERMS`]: the nats by which each recording is less likely under a
+/// fit to the others that leaves the term out.
 fn worth_of_terms(files: &[PathBuf], logs: &[MotionLog]) {
     let indices: Vec<usize> = (0..logs.len()).collect();
     // For each recording, the logarithm of its density and the number of its predictions.

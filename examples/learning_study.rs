@@ -13,8 +13,8 @@
 //! that Qube alone. If no such specialist reaches a return, a policy for all of the Qubes cannot be
 //! expected to reach it. PRESET is `thesis`, `quick` or `robust`; settings are those of
 //! `TrainSettings`. With `--against` each seed is trained a second time, with the settings after
-//! `--against` in addition. The two trainings of a seed are a pair, and the program sums up the
-//! differences of the pairs.
+//! `--against` in addition. The two trainings of a seed are a pair, and the program prints the
+//! mean difference of the pairs.
 //!
 //! The columns: `fresh` and `fresh final` are the mean returns of the best and of the final policy
 //! from 1000 new starts; `best` and `final` are the returns of the same policies in training;
@@ -114,9 +114,9 @@ fn compare(rows: &[Row], others: &[Row]) {
         rows.iter().zip(others).map(|(row, other)| other.fresh - row.fresh).collect();
     let count = differences.len() as f64;
     let mean = differences.iter().sum::<f64>() / count;
-    let squares: f64 = differences.iter().map(|it| (it - mean) * (it - mean)).sum();
+    let squares: f64 = differences.iter().map(|gain| (gain - mean) * (gain - mean)).sum();
     let standard_error = (squares / (count - 1.0) / count).sqrt();
-    let higher = differences.iter().filter(|it| **it > 0.0).count();
+    let higher = differences.iter().filter(|gain| **gain > 0.0).count();
     println!(
         "in pairs: the other earns {mean:+.2} more, standard error {standard_error:.2}; more in {higher} of {count}"
     );
@@ -131,7 +131,7 @@ fn with_settings(preset: &str, replaced: &[String]) -> anyhow::Result<TrainSetti
     Ok(table.try_into()?)
 }
 
-/// The distribution that contains only one Qube: the one of this number, drawn from `handcrafted`.
+/// The distribution that contains only the Qube of this number, drawn from `handcrafted`.
 fn one_of_handcrafted(number: u64) -> DomainDistribution {
     let handcrafted = DomainDistribution::handcrafted(Family::Normal);
     DomainDistribution::constant(&Trajectory::draw(&handcrafted, FRESH_SEED, number).model)
@@ -145,8 +145,9 @@ struct Row {
     to_540_s: f64,
 }
 
-/// Prints mean, standard deviation and minimum of the returns from new starts, how many final
-/// policies earn at most 5 less than the best one, and when the returns reached 540.
+/// Prints mean, standard deviation and minimum of the best policies' returns from new starts, the
+/// number of final policies that earn at most 5 less than the best one of the same training, and
+/// the median time until a return of 540.
 fn summarise(rows: &[Row]) {
     let count = rows.len() as f64;
     let mean = rows.iter().map(|row| row.fresh).sum::<f64>() / count;
@@ -157,7 +158,7 @@ fn summarise(rows: &[Row]) {
     let steady = rows.iter().filter(|row| row.fresh - row.fresh_final <= 5.0).count();
     println!("final within 5 of the best: {steady} of {}", rows.len());
     let mut to_540_s: Vec<f64> =
-        rows.iter().map(|row| row.to_540_s).filter(|s| s.is_finite()).collect();
+        rows.iter().map(|row| row.to_540_s).filter(|time_s| time_s.is_finite()).collect();
     to_540_s.sort_by(f64::total_cmp);
     if let Some(median) = to_540_s.get(to_540_s.len() / 2) {
         println!("540 reached by {} of {}, median {median:.2} s", to_540_s.len(), rows.len());

@@ -3,8 +3,9 @@
 //!
 //! `cargo run --release --example strangers_adversary -- --searches 20 --first 1 --optimiser both
 //! --belief unknown --out FILE`. Each finished search is a line of FILE and is not repeated.
-//! `--show SEED` prints the episodes of that seed in FILE tick by tick. Otherwise the program fails
-//! if the arm reached its stop in an episode for which foresight promises to prevent it.
+//! `--show SEED` prints the episodes of that seed in FILE tick by tick, and `--near SEED` plays
+//! others near the farthest one. Without these options the program fails if the arm reached its
+//! stop in an episode for which foresight promises to prevent it.
 
 #[path = "../tests/stranger/mod.rs"]
 mod stranger;
@@ -31,10 +32,11 @@ struct Arguments {
     /// The first seed.
     #[arg(long, default_value_t = 1)]
     first: u64,
-    /// ce, cma or both.
+    /// Optimiser: ce, cma or both.
     #[arg(long, default_value = "both")]
     optimiser: String,
-    /// unknown, identified, or precise: identified with a tenth of the standard errors.
+    /// Belief of the guard: unknown, identified, or precise (identified with a tenth of the
+    /// standard errors).
     #[arg(long, default_value = "unknown")]
     belief: String,
     /// Searches only the seeds whose attack has this mishap: clean, lost, lost_twice, stalled,
@@ -160,7 +162,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Whether the record is that of this search with as many episodes as this effort has.
+/// Returns whether the record is of this search with as many episodes as this effort has.
 fn is_of(record: &SearchRecord, search: &AdversarySearch, effort: &Effort) -> bool {
     let scenario = &record.scenario;
     let episodes = u64::from(effort.generations) * effort.population as u64;

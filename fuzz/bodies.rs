@@ -232,8 +232,9 @@ fn take_field<'a>(bytes: &mut &'a [u8]) -> Option<&'a [u8]> {
 
 /// The body of a block with this content, compressed and under its checksum.
 fn block(content: &[u8]) -> Vec<u8> {
-    let mut encoder = lz4::EncoderBuilder::new().build(Vec::new()).expect("memory");
-    encoder.write_all(content).expect("memory");
+    let mut encoder =
+        lz4::EncoderBuilder::new().build(Vec::new()).expect("writing to memory does not fail");
+    encoder.write_all(content).expect("writing to memory does not fail");
     let packed = encoder.finish().0;
     let mut chunk = vec![0; 16];
     chunk.extend((content.len() as u64).to_le_bytes());

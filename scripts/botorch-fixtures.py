@@ -49,25 +49,25 @@ def build(x, y, priors, kernel):
 
 
 def base_of(model):
-    k = model.covar_module
-    return k.base_kernel if isinstance(k, ScaleKernel) else k
+    kernel_module = model.covar_module
+    return kernel_module.base_kernel if isinstance(kernel_module, ScaleKernel) else kernel_module
 
 
 def hyperparameters(model):
-    k = model.covar_module
+    kernel_module = model.covar_module
     return dict(mean_constant=model.mean_module.constant.item(),
                 lengthscale=base_of(model).lengthscale.detach().flatten().tolist(),
-                outputscale=k.outputscale.item() if isinstance(k, ScaleKernel) else 1.0,
+                outputscale=kernel_module.outputscale.item() if isinstance(kernel_module, ScaleKernel) else 1.0,
                 noise=model.likelihood.noise.item())
 
 
-def set_hyperparameters(model, h):
-    k = model.covar_module
-    model.mean_module.constant = h["mean_constant"]
-    base_of(model).lengthscale = torch.tensor(h["lengthscale"])
-    if isinstance(k, ScaleKernel):
-        k.outputscale = h["outputscale"]
-    model.likelihood.noise = h["noise"]
+def set_hyperparameters(model, values):
+    kernel_module = model.covar_module
+    model.mean_module.constant = values["mean_constant"]
+    base_of(model).lengthscale = torch.tensor(values["lengthscale"])
+    if isinstance(kernel_module, ScaleKernel):
+        kernel_module.outputscale = values["outputscale"]
+    model.likelihood.noise = values["noise"]
 
 
 def evaluation(model, x_test, best_f):

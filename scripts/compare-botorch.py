@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Times BoTorch and this project's surrogate on the same problem, one after the other, and prints
 the ratios: a fit (gamma priors, constant mean, ARD Matérn 5/2, d = 8) and the maximisation of log EI
-(10 starts, 512 raw points). One thread each.
+(10 starts, 512 raw points). Each program uses one thread.
 
 Needs `pip install botorch`. Pin the script to one core: taskset -c 1 scripts/compare-botorch.py [N ...]
 N are numbers of observations, from 25, 100, 500, 1000 and 2000 [25 100 500]. A ratio is the time of BoTorch
@@ -37,7 +37,7 @@ REPEATS = {25: 9, 100: 5}
 
 
 def botorch_seconds(n):
-    """Median times of the fit and of the maximisation, s."""
+    """Returns the median times of the fit and of the maximisation, s."""
     fits, maxima = [], []
     for repeat in range(REPEATS.get(n, 3) + 1):
         u = torch.rand(n, DIMENSIONS, generator=torch.Generator().manual_seed(repeat))

@@ -30,8 +30,8 @@ static int64_t now_ns(void) {
     return now.tv_sec * 1000000000LL + now.tv_nsec;
 }
 
-static void give_up(const char *what) {
-    perror(what);
+static void give_up(const char *operation) {
+    perror(operation);
     exit(1);
 }
 
@@ -77,14 +77,14 @@ static double percentile_us(double share) {
     return sample_to_act_ns[rank < 1 ? 0 : rank - 1] / 1000.0;
 }
 
-int main(int count, char **words) {
+int main(int count, char **arguments) {
     if (count < 2) return 2;
-    turns = atoi(words[1]) * 100;
-    priority = count > 2 ? atoi(words[2]) : 40;
+    turns = atoi(arguments[1]) * 100;
+    priority = count > 2 ? atoi(arguments[2]) : 40;
     if (count > 5) {
-        request_bytes = atoi(words[3]);
-        reply_bytes = atoi(words[4]);
-        act_bytes = atoi(words[5]);
+        request_bytes = atoi(arguments[3]);
+        reply_bytes = atoi(arguments[4]);
+        act_bytes = atoi(arguments[5]);
     }
     if (turns < 1 || request_bytes > LONGEST || reply_bytes > LONGEST || act_bytes > LONGEST) return 2;
     sample_to_act_ns = calloc(turns, sizeof *sample_to_act_ns);

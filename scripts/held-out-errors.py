@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Measures what `identify --holdout` does to the standard errors of a profile.
+"""Measures the effect of `identify --holdout` on the standard errors of a profile.
 
-Fits emulated Qubes to a chirp and to steps, once alone and once with a rollout of policies/robust.safetensors held out.
-Prints the range of the factor by which the held-out rollout widens the standard errors (`inflation`), and how many
-values lie within their 90 % intervals. On the Qube with presliding friction only the values that this friction leaves
-as they are count.
+Identifies emulated Qubes from a chirp and steps together, once without and once with a held-out rollout of
+policies/robust.safetensors. Prints the range of the factor by which the held-out rollout widens the standard errors
+(`inflation`), and how many values lie within their 90 % intervals. On the Qube with presliding friction only the values
+count that this friction does not change.
 
-    cargo build --release && scripts/held-out-errors.py        some three minutes
+    cargo build --release && scripts/held-out-errors.py        takes about three minutes
 """
 
 import argparse
@@ -41,7 +41,8 @@ def values(path):
 
 
 def within(path, truth, leaves_out):
-    """Of a profile's values with an error: how many are within their 90 % intervals, and how many there are."""
+    """Returns how many of a profile's values with a standard error are within their 90 % intervals, and how many have
+    one."""
     fitted, errors = values(path)
     names = [name for name, error in errors.items() if error > 0 and name not in leaves_out]
     expected = truth | {"command_delay_s": truth["command_delay_s"] + WIRE_S}

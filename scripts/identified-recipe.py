@@ -9,8 +9,8 @@ usage: scripts/identified-recipe.py [--plants lab,gap,delay,drawn] [--policies N
   delay   lab with a delay of 16 ms
   drawn   each number of lab within 10 per cent except gravity, with other numbers for each policy
 
-Each plant is excited with one chirp and identified. Training and guard know the plant by the identified profile
-alone. Work that is finished in FOLDER is not repeated. Defaults: all plants, N = 20, S = 2000, T = all processors, and
+Each plant is excited with one chirp and identified. Training and guard use only the identified profile of the
+plant. Work that is finished in FOLDER is not repeated. Defaults: all plants, N = 20, S = 2000, T = all processors, and
 FOLDER identified-recipe.
 """
 import argparse
@@ -42,9 +42,9 @@ def plant(name, seed):
 
 
 def run(*arguments):
-    told = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True)
-    if told.returncode != 0:
-        raise SystemExit(told.stderr.strip().splitlines()[-1])
+    finished = subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True)
+    if finished.returncode != 0:
+        raise SystemExit(finished.stderr.strip().splitlines()[-1])
 
 
 def study(folder, name, seed, policies, threads):
@@ -57,24 +57,25 @@ def study(folder, name, seed, policies, threads):
         shutil.rmtree(folder / "chirp", ignore_errors=True)
         run("run", "--excite", "chirp", "--unidentified", *emulated, "--clock", "virtual", "--seed", seed, "--out",
             folder / "chirp")
-        told = subprocess.run([PROGRAM, "identify", str(folder / "chirp/rollout-0.mcap"), "--out", str(found)],
-                              capture_output=True, text=True)
-        if told.returncode != 0:
-            return f"{folder.name}: not identified: {told.stderr.strip().splitlines()[-1]}\n"
+        finished = subprocess.run([PROGRAM, "identify", str(folder / "chirp/rollout-0.mcap"), "--out", str(found)],
+                                  capture_output=True, text=True)
+        if finished.returncode != 0:
+            return f"{folder.name}: not identified: {finished.stderr.strip().splitlines()[-1]}\n"
     qube.write_text('profile = "found.toml"\n')
     profile = tomllib.loads(found.read_text())
     recipe.write_text(f'name = "{name}"\nmodel = "profile"\n[settings.profile]\nspread = 0.1\n'
                       + table("settings.profile.model.parameters", profile["parameters"])
                       + table("settings.profile.model.gap", profile["gap"]))
     out = folder / "experiment"
-    where = ["--resume", out] if out.exists() else [
+    options = ["--resume", out] if out.exists() else [
         "--out", out, "--recipe", recipe, "--preset", "robust", "--guard", "foresight", *emulated, "--policies",
         policies, "--rollouts", 5, "--seed", seed]
-    # An experiment does not store the profile by which the guard knows the Qube, so it is also given to one that continues.
-    run("experiment", *where, "--device", "emulated", "--qube", qube, "--threads", threads)
-    told = subprocess.run([PROGRAM, "experiment", "--resume", str(out), "--table", "--csv", str(folder / "policies.csv")],
-                          check=True, capture_output=True, text=True)
-    return told.stdout
+    # An experiment does not store the profile that the guard uses, so a resumed experiment is given the profile again.
+    run("experiment", *options, "--device", "emulated", "--qube", qube, "--threads", threads)
+    finished = subprocess.run([PROGRAM, "experiment", "--resume", str(out), "--table", "--csv",
+                               str(folder / "policies.csv")],
+                              check=True, capture_output=True, text=True)
+    return finished.stdout
 
 
 def main():
@@ -84,13 +85,13 @@ def main():
     parser.add_argument("--seed", type=int, default=2000)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("identified-recipe"))
-    asked = parser.parse_args()
-    for name in asked.plants.split(","):
+    arguments = parser.parse_args()
+    for name in arguments.plants.split(","):
         if name == "drawn":
-            for seed in range(asked.seed, asked.seed + asked.policies):
-                print(study(asked.out / f"drawn-{seed}", name, seed, 1, asked.threads), flush=True)
+            for seed in range(arguments.seed, arguments.seed + arguments.policies):
+                print(study(arguments.out / f"drawn-{seed}", name, seed, 1, arguments.threads), flush=True)
         else:
-            print(study(asked.out / name, name, asked.seed, asked.policies, asked.threads), flush=True)
+            print(study(arguments.out / name, name, arguments.seed, arguments.policies, arguments.threads), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Finds terms that the equations lack and the recordings of a real Qube ask for.
+"""Finds terms that the equations lack and with which they describe the recordings of a real Qube better.
 
-Fits the equations of `qube-hil identify`, each time with one or more further terms, to all recordings but one by
-multiple shooting, and prints how well the recording that was left out is explained: the root mean square of its
-residuals over windows of 1 s (recordings whose pendulum never comes upright), of 0.5 s (swing) and of 0.25 s
-(upright), arm and pendulum. Start states, the cable's rest angle and the pendulum's zero are estimated in each
-recording, because homing sets them anew. This is a second implementation on purpose: it shares no code with the program.
+Fits the equations of `qube-hil identify`, each time with other further terms, by multiple shooting to all recordings
+but one, with each recording left out in turn. Prints how well the recordings that were left out are explained: the root
+mean square of their residuals over windows of 1 s (recordings whose pendulum never comes upright), of 0.5 s (swing) and
+of 0.25 s (upright), arm and pendulum. The start state is estimated in each window; the cable's rest angle and the
+pendulum's zero in each recording, because homing sets the zeros of both angles anew. This implementation is independent
+on purpose: it shares no code with the program.
 
 usage: scripts/missing-terms.py FOLDER [TERM ...]
 
@@ -19,19 +20,20 @@ import time
 import numpy as np
 
 STEP_S = 0.002
-GRAVITY = 9.81
+GRAVITY_M_S2 = 9.81
 UPRIGHT_COS = -0.5
-FRICTION_VELOCITY = 0.05
+FRICTION_VELOCITY_RAD_S = 0.05
 PRIOR_REST_RAD, REST_SPREAD_RAD, ZERO_SPREAD_RAD = -0.8, 0.5, 0.003
 
 # The equations in volts: every torque and inertia is divided by the motor's torque per volt, k_m / R_m. Names that
-# begin with log_ are logarithms. A fit begins at the values of the name plate, with some friction.
-NAME_PLATE_TORQUE = 0.042 / 8.4
+# begin with log_ are logarithms. A fit begins at the values of the name plate, with some friction, dead zones, cable
+# and delay.
+NAME_PLATE_N_M_PER_V = 0.042 / 8.4
 BASE = {
-    "log_arm": np.log((0.024 * 0.085**2 + 0.095 * 0.085**2 / 12) / NAME_PLATE_TORQUE),
-    "log_pendulum": np.log(0.024 * 0.129**2 / 3 / NAME_PLATE_TORQUE),
-    "log_gravity": np.log(0.024 * 0.129 * GRAVITY / 2 / NAME_PLATE_TORQUE),
-    "log_coupling": np.log(0.024 * 0.129 * 0.085 / 2 / NAME_PLATE_TORQUE),
+    "log_arm": np.log((0.024 * 0.085**2 + 0.095 * 0.085**2 / 12) / NAME_PLATE_N_M_PER_V),
+    "log_pendulum": np.log(0.024 * 0.129**2 / 3 / NAME_PLATE_N_M_PER_V),
+    "log_gravity": np.log(0.024 * 0.129 * GRAVITY_M_S2 / 2 / NAME_PLATE_N_M_PER_V),
+    "log_coupling": np.log(0.024 * 0.129 * 0.085 / 2 / NAME_PLATE_N_M_PER_V),
     "log_arm_damping": np.log(0.05),
     "log_pendulum_damping": np.log(2e-4),
     "coulomb": 0.1,
@@ -85,7 +87,8 @@ class Recording:
         self.period = self.time[1] - self.time[0]
 
     def windows(self):
-        """The windows: index of the first sample, index after the last one, and kind (0 hanging, 1 swing, 2 upright)."""
+        """Returns the windows: index of the first sample, index after the last one, and kind (0 hanging, 1 swing,
+        2 upright)."""
         first, windows = int(np.searchsorted(self.time, self.time[0] + 0.04 - 1e-9)), []
         upright = lambda first, end: bool((np.cos(self.alpha[first:end]) < UPRIGHT_COS).any())
         end_after = lambda seconds: min(len(self.time), first + round(seconds / self.period) + 1)
@@ -103,7 +106,7 @@ class Recording:
         return windows
 
     def voltage_integral(self, lag):
-        """Times and integral of the held voltage, behind a first-order lag."""
+        """Returns the times and the integral of the held voltage after a first-order lag of `lag` s."""
         times = np.append(self.time, self.time[-1] + self.period)
         if lag <= 0.0:
             return times, np.append(0.0, np.cumsum(self.voltage) * self.period)
@@ -114,8 +117,8 @@ class Recording:
         return times, np.array(integral)
 
     def built_up(self, angle):
-        """The torque at each sample of an element that resists the arm elastically until it slides (Dahl's friction), as a
-        share of its largest torque; `angle` is the angle, rad, over which it builds up."""
+        """Returns the torque at each sample of an element that resists the arm elastically until it slides (Dahl's
+        friction), as a share of its largest torque; `angle` is the angle, rad, over which the torque builds up."""
         share, shares = 0.0, [0.0]
         for moved in np.diff(self.theta):
             share = np.sign(moved) + (share - np.sign(moved)) * np.exp(-abs(moved) / angle)
@@ -154,7 +157,7 @@ class Windows:
         return self.kept[key]
 
     def mean_voltages(self, delay, lag):
-        """The mean voltage of each integration step, window by window."""
+        """Returns the mean voltage of each integration step, window by window."""
         grid = self.time[:, :1] + STEP_S * np.arange(self.steps + 1) - delay
         rows = [np.interp(own, *self.recordings[r].voltage_integral(lag)) for own, r in zip(grid, self.recording)]
         return np.diff(np.array(rows)) / STEP_S
@@ -164,8 +167,8 @@ class Windows:
         return np.array([shares[r][first:end][0] for r, first, end, _ in self.places])
 
     def simulate(self, sets, starts, rests):
-        """Theta and alpha at each sample, for several sets of parameters with start states (set, window, 4) and rest
-        angles (set, window); shapes (set, window, sample)."""
+        """Returns theta and alpha at each sample, for several sets of parameters with start states (set, window, 4) and
+        rest angles (set, window); both results have the shape (set, window, sample)."""
         number = lambda name: np.array([own[name] for own in sets])[:, None]
         p = {name: np.exp(number(name)) if name.startswith("log_") else number(name) for name in sets[0]}
         present = {name for name in ABSENT if any(own[name] != ABSENT[name] for own in sets)}
@@ -185,7 +188,7 @@ class Windows:
 
         def accelerations(theta, alpha, theta_dot, alpha_dot, voltage):
             sin, cos = np.sin(alpha), np.cos(alpha)
-            share = theta_dot / FRICTION_VELOCITY
+            share = theta_dot / FRICTION_VELOCITY_RAD_S
             friction = p["coulomb"] * share / (1.0 / 3.0 + np.abs(share))
             if "stribeck" in present:
                 friction = friction * (1.0 + p["stribeck"] * np.exp(-(theta_dot / p["log_stribeck_velocity"]) ** 2))
@@ -245,7 +248,7 @@ class Windows:
 
 
 class Fit:
-    """Multiple shooting by Levenberg and Marquardt; the start states are eliminated window by window."""
+    """A fit by multiple shooting with Levenberg-Marquardt steps, which eliminate the start states window by window."""
 
     def __init__(self, recordings, free, values):
         self.recordings, self.free, self.values = recordings, free, dict(values)
@@ -331,14 +334,14 @@ class Fit:
             starts.append(own_starts - (inverse @ by[:, :, None])[:, :, 0])
         return values, starts, self.rests + change[free:free + recordings], self.zeros + change[free + recordings:]
 
-    def minimise(self, most_steps=30, arrived=1e-5):
+    def minimise(self, most_steps=30, least_gain=1e-5):
         damping, cost = 1e-3, self.cost(*self.state())
         for _ in range(most_steps):
             for _ in range(7):
                 with np.errstate(all="ignore"):
                     try:
-                        there = self.step(damping)
-                        next_cost = self.cost(*there)
+                        next_state = self.step(damping)
+                        next_cost = self.cost(*next_state)
                     except np.linalg.LinAlgError:
                         next_cost = np.inf
                 if next_cost < cost:
@@ -346,13 +349,14 @@ class Fit:
                 damping *= 5.0
             else:
                 return
-            self.values, self.starts, self.rests, self.zeros = there
+            self.values, self.starts, self.rests, self.zeros = next_state
             gain, cost, damping = (cost - next_cost) / cost, next_cost, max(0.2 * damping, 1e-9)
-            if gain < arrived:
+            if gain < least_gain:
                 return
 
     def sums(self, weighted):
-        """Squares of the residuals by kind and angle, and the number of samples by kind."""
+        """Returns the sums of squared residuals by kind and angle, and the number of samples by kind; both with the
+        weights of the fit if `weighted`."""
         squares, counts = np.zeros((3, 2)), np.zeros(3)
         for group, theta, alpha in self.residuals(*self.state()):
             scale = self.scales[group.kind]
@@ -372,14 +376,15 @@ class Fit:
         return self
 
 
-def left_out(whole, free, hold):
-    """The sums of a recording's residuals under a fit to the others."""
-    others = [recording for index, recording in enumerate(whole.recordings) if index != hold]
+def left_out(whole, free, held_out):
+    """Returns the sums of the squared residuals of recording `held_out` under a fit to the others, and the numbers of
+    its samples."""
+    others = [recording for index, recording in enumerate(whole.recordings) if index != held_out]
     fit = Fit(others, free, whole.values)
     fit.scales = whole.scales.copy()
-    fit.rests, fit.zeros = np.delete(whole.rests, hold), np.delete(whole.zeros, hold)
-    fit.run(1, most_steps=8, arrived=1e-4)
-    own = Fit([whole.recordings[hold]], [], fit.values)
+    fit.rests, fit.zeros = np.delete(whole.rests, held_out), np.delete(whole.zeros, held_out)
+    fit.run(1, most_steps=8, least_gain=1e-4)
+    own = Fit([whole.recordings[held_out]], [], fit.values)
     own.scales = fit.scales
     own.rests[:] = np.median(fit.rests)
     own.minimise(most_steps=20)
@@ -406,7 +411,7 @@ def main():
         whole.starts, whole.rests, whole.zeros = list(base.starts), base.rests.copy(), base.zeros.copy()
         whole.scales = base.scales.copy()
         whole.run(2)
-        sums = [left_out(whole, free, hold) for hold in range(len(recordings))]
+        sums = [left_out(whole, free, index) for index in range(len(recordings))]
         squares, counts = (sum(parts) for parts in zip(*sums))
         roots = 1e3 * np.sqrt(squares / np.maximum(counts, 1.0)[:, None])
         shown = [f"{theta:.2f}/{alpha:.2f}" for theta, alpha in roots]

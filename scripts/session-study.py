@@ -12,19 +12,19 @@ usage: scripts/session-study.py [--plants NAME,...] [--seeds N] [--first S] [--m
 
 The plants of scripts/comparison/beyond.toml, with effects that neither the training simulations nor a fit contains:
   play        lab with a backlash of 1 degree between motor and arm
-  presliding  friction that yields over 0.03 rad before it slides, with half as much again near standstill
+  presliding  friction that yields over 0.03 rad before it slides, and that is 1.5 times as large near standstill
   cable       a cable that lags by 0.5 mN m and is slack on one side
-  warm        a winding that grows by 30 % a watt, and an arm encoder that is off by up to 0.02 rad
+  warm        a winding whose resistance grows by 30 per cent a watt, and an arm encoder that is off by up to 0.02 rad
 
 The plants of scripts/comparison/other-forms.toml, with further such effects whose form identify does not test for:
   tilt        lab on a base that is tilted by 0.009 rad
-  ripple      a motor whose torque changes by 20 % twelve times a turn
+  ripple      a motor whose torque changes by 20 per cent twelve times a turn
   bearing     dry friction of 0.1 mN m in the pendulum's bearing
   stiffening  a cable with a cubic term of 0.1 mN m/rad^3
 
-The columns: the sessions that ended with a verified policy, of all; then, of these, the number whose policy balanced in
-all of its verification rollouts, the mean return, the real rollouts (median and most), the motion of the Qube from
-homed to policy chosen (s, median and most: settling, policy and braking of these real rollouts), the number of sessions
+The columns are the number of sessions that ended with a verified policy; then, of these, the number whose policy
+balanced in all of its verification rollouts, the mean return, the real rollouts (median and most), the motion of the
+Qube from homed to policy chosen (s, median and most: settling, policy and braking of these real rollouts), the number of sessions
 whose identification doubted the model or failed, the change of the voltage while the policy balances (V a tick, median
 and most), its sign changes (1/s, median and most), and the mean return of the nominal policy in one rollout. A session
 whose result is in FOLDER is not run again; one that failed continues.
@@ -78,13 +78,14 @@ def plant(name, folder, seed):
     }[name]()
 
 
-def failure(told):
-    """The reason why a result holds no verified policy; an empty text if it holds one."""
-    return str(told.get("ended_by") or ("" if told.get("best") else "it has no verified policy"))
+def failure(summary):
+    """Returns the reason why a result holds no verified policy; an empty text if it holds one."""
+    return str(summary.get("ended_by") or ("" if summary.get("best") else "it has no verified policy"))
 
 
 def motion_s(session_folder, candidates):
-    """The time for which the Qube moved in the recordings of these candidates, s: the sum of their last ticks' times."""
+    """Returns the time for which the Qube moved in the recordings of these candidates, s: the sum of their last ticks'
+    times."""
     total_s = 0.0
     with tempfile.TemporaryDirectory() as tables:
         for candidate in candidates:
@@ -100,30 +101,30 @@ def motion_s(session_folder, candidates):
 def session(folder, name, method, seed):
     """Runs one session, or reads its result. The result of a session that failed is not stored."""
     result = folder / f"{method}-{name}-{seed}.json"
-    told = json.loads(result.read_text()) if result.exists() else {}
-    if failure(told):
+    summary = json.loads(result.read_text()) if result.exists() else {}
+    if failure(summary):
         out = folder / f"{method}-{name}-{seed}"
-        where = ["--resume", out] if out.exists() else [
+        arguments = ["--resume", out] if out.exists() else [
             "--method", method, "--seed", str(seed), "--out", out, *plant(name, folder, seed)]
-        done = subprocess.run([PROGRAM, "session", "--clock", "virtual", "--json", *map(str, where)],
+        done = subprocess.run([PROGRAM, "session", "--clock", "virtual", "--json", *map(str, arguments)],
                               capture_output=True, text=True)
-        told = json.loads(done.stdout.splitlines()[-1]) if done.stdout else {"ended_by": done.stderr[-300:]}
-        if failure(told):
-            return {"seed": seed, "error": failure(told)}
-        result.write_text(json.dumps(told))
-    best, known = told["best"], told["identification"]
+        summary = json.loads(done.stdout.splitlines()[-1]) if done.stdout else {"ended_by": done.stderr[-300:]}
+        if failure(summary):
+            return {"seed": seed, "error": failure(summary)}
+        result.write_text(json.dumps(summary))
+    best, known = summary["best"], summary["identification"]
     returns = best["returns"]
     return {
         "seed": seed,
         "successes": best["successes"],
         "rollouts": len(returns),
         "mean": statistics.mean(returns),
-        "real": told["real_rollouts"],
-        "motion_s": motion_s(folder / f"{method}-{name}-{seed}", told["excitations"] + told["candidates"]),
+        "real": summary["real_rollouts"],
+        "motion_s": motion_s(folder / f"{method}-{name}-{seed}", summary["excitations"] + summary["candidates"]),
         "change_v": best["balancing"]["change_v"],
         "sign_changes_per_s": best["balancing"]["sign_changes_per_s"],
         "doubted": known is not None and known.get("verdict") != "fits",
-        "nominal": (told["baseline"] or [{"returns": [float("nan")]}])[0]["returns"][0],
+        "nominal": (summary["baseline"] or [{"returns": [float("nan")]}])[0]["returns"][0],
     }
 
 
@@ -135,14 +136,14 @@ def main():
     parser.add_argument("--method", default="identified")
     parser.add_argument("--parallel", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("session-study"))
-    asked = parser.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
     print("plant      sessions  all balance  mean return  real rollouts: median, most  motion, s: median, most  "
           "doubted  V a tick: median, most  sign changes/s: median, most  nominal", flush=True)
-    for name in asked.plants.split(","):
-        seeds = range(asked.first, asked.first + asked.seeds)
-        with ThreadPoolExecutor(asked.parallel) as pool:
-            results = list(pool.map(lambda seed: session(asked.out, name, asked.method, seed), seeds))
+    for name in arguments.plants.split(","):
+        seeds = range(arguments.first, arguments.first + arguments.seeds)
+        with ThreadPoolExecutor(arguments.parallel) as pool:
+            results = list(pool.map(lambda seed: session(arguments.out, name, arguments.method, seed), seeds))
         for failed in [it for it in results if "error" in it]:
             print(f"  {name} {failed['seed']}: {failed['error']}")
         done = [it for it in results if "error" not in it]

@@ -1,9 +1,9 @@
 //! Hardware-in-the-loop for the Quanser Qube: train policies in randomised simulations, run them on
 //! the pendulum, and let Bayesian optimisation choose the randomisation.
 //!
-//! The library is a house of rooms. Each module below is one room; its page states its purpose and
-//! the rooms that it may import. `tests/repository/walls.rs` reads every path in the source and
-//! fails when a room imports a room that its page does not name. `ARCHITECTURE.md` lists all rooms.
+//! Each module below is one *room* of the library; its page states its purpose and the rooms that
+//! it may import. `tests/repository/walls.rs` reads every path in the source and fails when a room
+//! imports a room that its page does not name. `ARCHITECTURE.md` lists all rooms.
 //!
 //! The example trains a policy with a budget far too small for a swing-up, runs it on the emulated
 //! Qube in virtual time, and reads the recording:

@@ -42,7 +42,7 @@ fn count() {
     }
 }
 
-// SAFETY: every call is handed on unchanged to the system's allocator, which keeps the contract.
+// SAFETY: every call is passed on unchanged to the system's allocator, which keeps the contract.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
@@ -123,12 +123,12 @@ fn driven_until(
 ) -> RolloutOutcome {
     let (mut producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
     ALLOCATIONS.set(0);
-    let report = drive(device, clock, motion, Some(&mut producer), stop).expect("it arms");
+    let report = drive(device, clock, motion, Some(&mut producer), stop).expect("the Qube arms");
     assert_eq!(ALLOCATIONS.get(), 0, "{:?}", report.outcome);
     report.outcome
 }
 
-/// Homes a Qube without an allocation in the loop; returns what homing has measured.
+/// Homes a Qube without an allocation in the loop; returns the measurements of homing.
 fn homed(
     device: &mut Watched<impl Device>,
     clock: &dyn Clock,
@@ -137,7 +137,7 @@ fn homed(
     let mut homing = Homing::new(&HomingSettings { method, ..HomingSettings::default() });
     let outcome = driven(device, clock, &mut homing);
     without_fault(&outcome);
-    homing.measured().expect("it homes")
+    homing.measured().expect("the Qube homes")
 }
 
 /// Panics if a fault has ended a motion. The message contains the operator's step, which tells
@@ -155,7 +155,7 @@ fn classical() -> Policy {
 
 fn network() -> Policy {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/nominal.safetensors");
-    Policy::load(&path).expect("the shipped policy")
+    Policy::load(&path).expect("the shipped policy can be read")
 }
 
 /// The shipped policy, extended by a history with a small weight.
@@ -165,7 +165,7 @@ fn network_with_history() -> Policy {
     sizes[0] += 3;
     let rows = layers[0].weight.chunks(6);
     layers[0].weight = rows.flat_map(|row| [row, &[0.01; 3]].concat()).collect();
-    policy.network = Network::new(&sizes, &layers, 5.0).expect("a network");
+    policy.network = Network::new(&sizes, &layers, 5.0).expect("the layers fit each other");
     Policy::Network(policy)
 }
 
@@ -179,7 +179,8 @@ fn large_network() -> Policy {
         weight: vec![1e-4; size[0] * size[1]],
         bias: vec![1e-3; size[1]],
     });
-    let network = Network::new(&sizes, &layers.collect::<Vec<_>>(), 5.0).expect("a network");
+    let network = Network::new(&sizes, &layers.collect::<Vec<_>>(), 5.0);
+    let network = network.expect("the layers fit each other");
     policy.network = network.with_functions(Activation::Elu, OutputKind::Tanh);
     Policy::Network(policy)
 }
@@ -210,9 +211,9 @@ fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
     in_real_time(|| {
         // The control thread requests the same rights.
         let _ = enter_realtime();
-        // The arm starts in the middle, where a homing by hand takes it to be.
+        // The arm starts in the middle, where a homing by hand assumes it.
         let middle = EmulatorSettings { start: Some(State::default()), ..Default::default() };
-        let qube = EmulatedQube::spawn(middle).expect("a pty");
+        let qube = EmulatedQube::spawn(middle).expect("the emulator gets a pty");
         let port = qube.port().to_string_lossy().into_owned();
         let link = SerialLink::open(&port, Arc::new(MonotonicClock)).expect("the pty opens");
         let mut device = Watched::new(link);
@@ -304,8 +305,8 @@ fn a_rollout_in_virtual_time_allocates_nothing() {
     }
 }
 
-/// Checks rollouts under foresight, which simulates the brake in each tick: for any Qube, and for
-/// one whose profile is known.
+/// Checks rollouts under foresight, which simulates the brake in each tick: for any Qube, and for a
+/// Qube whose profile is known.
 #[test]
 fn a_rollout_under_foresight_allocates_nothing() {
     let lab = Profile::lab();
@@ -323,30 +324,30 @@ fn a_rollout_under_foresight_allocates_nothing() {
 
 #[test]
 fn a_rollout_that_a_fault_ends_allocates_nothing() {
-    use EmulatorFault as F;
+    use EmulatorFault as Fault;
     let after_s = in_the_rollout_s();
     let mut named = 0;
     for fault in [
-        F::Silent { after_s },
-        F::FrozenAlpha { after_s },
-        F::FrozenTheta { after_s },
-        F::StuckTheta { after_s },
-        F::JumpTheta { after_s, counts: 600 },
-        F::JumpAlpha { after_s, counts: -600 },
-        F::DriftingTheta { after_s, counts_s: 3000 },
-        F::DeadMotor { after_s },
-        F::BlockedArm { after_s },
-        F::StuckOutput { after_s, voltage_v: 3.0 },
-        F::AmplifierFault { after_s },
-        F::LapsingAmplifierFault { after_s, lasts_s: 0.003 },
-        F::StallError { after_s },
-        F::QubeAbsent { after_s },
-        F::SwitchedOffAndOn { after_s, off_s: 0.1 },
-        F::Unplugged { after_s },
-        F::PowerLoss { after_s },
-        F::BrownOut { after_s },
-        F::BoardRestart { after_s },
-        F::EmergencyStop { after_s },
+        Fault::Silent { after_s },
+        Fault::FrozenAlpha { after_s },
+        Fault::FrozenTheta { after_s },
+        Fault::StuckTheta { after_s },
+        Fault::JumpTheta { after_s, counts: 600 },
+        Fault::JumpAlpha { after_s, counts: -600 },
+        Fault::DriftingTheta { after_s, counts_s: 3000 },
+        Fault::DeadMotor { after_s },
+        Fault::BlockedArm { after_s },
+        Fault::StuckOutput { after_s, voltage_v: 3.0 },
+        Fault::AmplifierFault { after_s },
+        Fault::LapsingAmplifierFault { after_s, lasts_s: 0.003 },
+        Fault::StallError { after_s },
+        Fault::QubeAbsent { after_s },
+        Fault::SwitchedOffAndOn { after_s, off_s: 0.1 },
+        Fault::Unplugged { after_s },
+        Fault::PowerLoss { after_s },
+        Fault::BrownOut { after_s },
+        Fault::BoardRestart { after_s },
+        Fault::EmergencyStop { after_s },
     ] {
         let emulator = EmulatorSettings { fault: Some(fault), ..EmulatorSettings::default() };
         let outcome = runs_without_allocating(emulator, classical(), guarded);

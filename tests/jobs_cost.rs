@@ -1,6 +1,6 @@
 //! Measures the processor time and memory of the coordinator of a folder of jobs, with a worker
 //! that finishes every job at once: `cargo test --test jobs_cost -- --ignored --nocapture` prints
-//! them for up to 10 000 jobs.
+//! both for up to 10 000 jobs.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,7 +12,8 @@ use qube_hil::learning::TrainSettings;
 use qube_hil::simulation::DomainDistribution;
 use qube_hil::storage::MachineDisk;
 
-/// Lock that lets one measurement run at a time: processor time and memory are of the process.
+/// Lock that lets one measurement run at a time, because processor time and memory are measured for
+/// the whole process.
 static TURN: Mutex<()> = Mutex::new(());
 
 /// The cost of a number of jobs.
@@ -24,12 +25,12 @@ struct Cost {
 }
 
 /// Processor time of this process or thread so far, s.
-fn cpu_s(of: libc::c_int) -> f64 {
-    // SAFETY: the structure consists of numbers, for which zeros are a value, and the call fills
+fn cpu_s(target: libc::c_int) -> f64 {
+    // SAFETY: the structure consists of numbers, for which 0 is a valid value, and the call fills
     // it.
     let usage = unsafe {
         let mut usage: libc::rusage = std::mem::zeroed();
-        assert_eq!(libc::getrusage(of, &raw mut usage), 0);
+        assert_eq!(libc::getrusage(target, &raw mut usage), 0);
         usage
     };
     let seconds = |time: libc::timeval| time.tv_sec as f64 + 1e-6 * time.tv_usec as f64;
@@ -43,8 +44,8 @@ fn peak_mb() -> f64 {
     line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() / 1e3
 }
 
-/// The cost of `count` jobs whose results come at once. Each result is a policy with a learning
-/// curve as long as that of the preset `quick`.
+/// Measures the cost of `count` jobs whose results come at once. Each result is a policy with a
+/// learning curve of the length that the preset `quick` gives.
 fn cost(count: u64) -> Cost {
     let settings = TrainSettings::quick();
     let job = |seed| TrainingJob {
@@ -95,14 +96,14 @@ fn cost(count: u64) -> Cost {
     Cost { cpu_ms: 1e3 * cpu_s / count as f64, wall_s: begun.elapsed().as_secs_f64() }
 }
 
-/// Measures the cost of `count` jobs, and panics if they take much memory.
+/// Measures and prints the cost of `count` jobs; panics if the process needs more than 100 MB.
 #[track_caller]
 fn measured(count: u64) -> Cost {
     let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
     let cost = cost(count);
     let (Cost { cpu_ms, wall_s }, peak_mb) = (&cost, peak_mb());
     println!("{count:6} jobs: {cpu_ms:.3} ms of CPU a job, {wall_s:.1} s, at most {peak_mb:.1} MB");
-    assert!(peak_mb <= 100.0, "{peak_mb} MB");
+    assert!(peak_mb <= 100.0, "the process needs {peak_mb} MB");
     cost
 }
 
@@ -112,10 +113,10 @@ fn jobs_cost_the_coordinator_little_memory() {
 }
 
 #[test]
-#[ignore = "takes a minute, and a quiet computer"]
+#[ignore = "takes a minute and needs a quiet computer"]
 fn ten_thousand_jobs_cost_little_processor_time_each() {
     for count in [100, 1_000, 3_000, 10_000] {
         let Cost { cpu_ms, .. } = measured(count);
-        assert!(cpu_ms <= 2.0, "{cpu_ms} ms of CPU a job");
+        assert!(cpu_ms <= 2.0, "a job costs {cpu_ms} ms of CPU");
     }
 }

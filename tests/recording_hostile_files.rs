@@ -1,5 +1,5 @@
-//! Tests that small files which ask for much memory do not get it, by the largest number of bytes
-//! in use while a recording is read.
+//! Tests that a small file needs little memory, however much content it declares: the measure is
+//! the largest number of bytes in use while the file is read.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::Write;
@@ -74,7 +74,7 @@ fn turn() -> MutexGuard<'static, ()> {
 #[track_caller]
 fn is_read_with_little_memory(_turn: &MutexGuard<'_, ()>, more: &[u8]) {
     let bytes = [include_bytes!("../fuzz/begun.mcap").as_slice(), more].concat();
-    assert!(bytes.len() < 8 << 20, "{} bytes are no small file", bytes.len());
+    assert!(bytes.len() < 8 << 20, "{} bytes are not a small file", bytes.len());
     let before = IN_USE.load(Ordering::Relaxed);
     PEAK.store(before, Ordering::Relaxed);
     let recording = parse(&bytes).unwrap();

@@ -185,7 +185,9 @@ fn main() {
         for file in files.iter().map(Some).chain([None]) {
             let new_policy = || -> Box<dyn Controller> {
                 match file {
-                    Some(file) => Box::new(Policy::load(Path::new(file)).expect("a policy")),
+                    Some(file) => {
+                        Box::new(Policy::load(Path::new(file)).expect("the policy can be read"))
+                    }
                     None => Box::new(ClassicalController::new(ClassicalGains::default())),
                 }
             };

@@ -6,14 +6,14 @@
 //! ```
 //!
 //! For each of PLANTS seeds from SEED on (by default 50 seeds from 2000 on) the program draws a
-//! Qube, records motions of 10 s at 100 Hz, and fits a model to them: once with the Qube as drawn,
-//! and once with an effect outside the model class added, which is one of five in turn; after the
-//! word `other-forms` it is one of four for which the verdict does not look. A MOTION is
-//! the form and the largest voltage of an excitation, or `policy:FILE` for a rollout; the default
-//! is `chirp:1.5 chirp:1.5`. The program prints a line for each plant, then tables of the counts:
-//! plants that the verdict doubts, plants whose held-out recordings add a doubt, and refusals that
-//! blame a reversed sign.
-//! The limits of the verdict were chosen on seeds from 100 on.
+//! Qube, records motions of 10 s at 100 Hz, and fits a model to them. It does so twice: with the
+//! Qube as drawn, and with one effect outside the model class added. The five effects take turns.
+//! With the word `other-forms` the program adds one of four effects for which the verdict does not
+//! look. A MOTION is the shape and the largest voltage of an excitation, or `policy:FILE` for a
+//! rollout; the default is `chirp:1.5 chirp:1.5`. The program prints a line for each plant, then
+//! tables of the counts: plants whose model the verdict doubts or whose fit is refused, plants
+//! whose held-out recordings add a doubt, and refusals that name a reversed sign. The default seeds
+//! had no part in the choice of the verdict's limits.
 
 #[path = "../beyond_the_equations/mechanics.rs"]
 mod mechanics;
@@ -112,7 +112,7 @@ fn identified(
         .iter()
         .zip(0..)
         .map(|(motion, number)| motion.record(model, beyond, number, false))
-        // A policy may fall on a drawn plant; the program leaves such a rollout out.
+        // A rollout may end too early for a fit; the program leaves it out.
         .filter(|log| check_recording(log).is_ok())
         .collect();
     let unknowns: Vec<Unknown> = Unknown::all().collect();
@@ -145,11 +145,12 @@ struct Row {
     /// band.
     predicted: [u32; 2],
     plants: u32,
+    /// Number of fits that the verdict doubts, or that are refused.
     doubted: u32,
     /// Number of fits to which the held-out recordings add a doubt.
     doubted_by_held_out: u32,
-    /// Number of refusals that blame a reversed sign; each is wrong, because no sign is reversed.
-    blaming_a_sign: u32,
+    /// Number of refusals that name a reversed sign; each is wrong, because no sign is reversed.
+    naming_a_sign: u32,
     /// Number of times that each effect was named.
     named: BTreeMap<&'static str, u32>,
 }
@@ -160,15 +161,15 @@ impl Row {
         let verdict = found.as_ref().map(|found| found.assessment.verdict);
         self.doubted += u32::from(verdict != Ok(ModelVerdict::Fits));
         let cause = found.as_ref().err().and_then(IdentifyError::cause);
-        self.blaming_a_sign += u32::from(matches!(cause, Some(Cause::Reversed(_))));
+        self.naming_a_sign += u32::from(matches!(cause, Some(Cause::Reversed(_))));
         let doubts = found.iter().flat_map(|found| &found.assessment.doubts);
         for doubt in doubts.filter(|doubt| **doubt != MissingEffect::Unexplained) {
             *self.named.entry(doubt.name()).or_default() += 1;
         }
     }
 
-    /// Predicts the held-out recording of each motion, and asks whether these recordings contradict
-    /// the fit. Returns the factor by which they widen its standard errors.
+    /// Predicts the held-out recording of each motion, and tests whether these recordings
+    /// contradict the fit. Returns the factor by which they widen its standard errors.
     fn predict(
         &mut self,
         found: &Identified,
@@ -203,9 +204,9 @@ impl Row {
             self.named.iter().map(|(name, count)| format!("{name} {count}")).collect();
         let named = named.join(", ");
         let within = percent(self.predicted);
-        let Self { plants, doubted, doubted_by_held_out, blaming_a_sign, .. } = self;
+        let Self { plants, doubted, doubted_by_held_out, naming_a_sign, .. } = self;
         println!(
-            "{name:12} {plants:>7} {doubted:>8} {doubted_by_held_out:>8} {blaming_a_sign:>8} {within:>12}   {named}"
+            "{name:12} {plants:>7} {doubted:>8} {doubted_by_held_out:>8} {naming_a_sign:>8} {within:>12}   {named}"
         );
     }
 }
@@ -219,7 +220,7 @@ fn percent([all, within]: [u32; 2]) -> String {
     format!("{:.1} %", 100.0 * f64::from(within) / f64::from(all))
 }
 
-/// For each estimate, whether its 90 % interval contains the truth.
+/// Returns for each estimate whether its 90 % interval contains the truth.
 fn coverage(found: &Identified, truth: &QubeModel) -> Vec<(Unknown, bool)> {
     let one = |estimate: &Estimate| {
         let expected = truth.get(estimate.unknown.0);
@@ -239,8 +240,9 @@ fn main() {
         Some(_) => of_another_form,
         None => outside,
     };
-    let [plants, first_seed] = DEFAULTS
-        .map(|default| words.next().map_or(default, |text| text.parse().expect("a number")));
+    let [plants, first_seed] = DEFAULTS.map(|default| {
+        words.next().map_or(default, |text| text.parse().expect("a number is given"))
+    });
     let mut motions: Vec<Motion> = words.map(|text| Motion::named(&text)).collect();
     if motions.is_empty() {
         motions = vec![Motion::named("chirp:1.5"); 2];
@@ -273,9 +275,10 @@ fn main() {
     rows.iter().for_each(|(name, row)| row.line(name));
     let with_effect = || rows.iter().filter(|(name, _)| **name != NOTHING);
     let sum = |count: fn(&Row) -> u32| with_effect().map(|(_, row)| count(row)).sum::<u32>();
-    let within = percent([0, 1].map(|index| with_effect().map(|(_, r)| r.predicted[index]).sum()));
+    let within =
+        percent([0, 1].map(|index| with_effect().map(|(_, row)| row.predicted[index]).sum()));
     let [plants, doubted] = [sum(|row| row.plants), sum(|row| row.doubted)];
-    let [held_out, sign] = [sum(|row| row.doubted_by_held_out), sum(|row| row.blaming_a_sign)];
+    let [held_out, sign] = [sum(|row| row.doubted_by_held_out), sum(|row| row.naming_a_sign)];
     println!("{:12} {plants:>7} {doubted:>8} {held_out:>8} {sign:>8} {within:>12}", "outside");
     println!("\n{:24} 90 % intervals that contain the truth", "quantity");
     for unknown in Unknown::all() {

@@ -33,13 +33,15 @@ impl Motion {
     pub fn named(text: &str) -> Self {
         let (kind, rest) = text
             .split_once(':')
-            .expect("an excitation of `run` and its voltage, such as chirp:1.5, or policy:FILE");
-        let voltage_v = || rest.parse().expect("a voltage");
+            .expect("a motion is an excitation and its voltage, such as chirp:1.5, or policy:FILE");
+        let voltage_v = || rest.parse().expect("the voltage is a number");
         match kind {
-            "policy" => Self::Rollout(Box::new(Policy::load(Path::new(rest)).expect("a policy"))),
+            "policy" => Self::Rollout(Box::new(
+                Policy::load(Path::new(rest)).expect("the policy can be read"),
+            )),
             other => {
                 let shape = ExcitationShape::ALL.into_iter().find(|shape| shape.name() == other);
-                Self::Excitation(shape.expect("an excitation of `run`, or policy"), voltage_v())
+                Self::Excitation(shape.expect("the motion is an excitation or policy"), voltage_v())
             }
         }
     }

@@ -1,5 +1,5 @@
-//! A simulated Qube that may have effects which the library's equations leave out. The library
-//! cannot import this file, so identification knows nothing of these effects.
+//! A simulated Qube that may have effects which the library's equations leave out. Identification
+//! can import neither this file nor the emulated Qube, so it cannot contain these effects.
 
 use std::collections::VecDeque;
 

@@ -10,8 +10,8 @@
 /* One of `enum device_kind`. */
 extern const uint8_t BOARD_KIND;
 
-/* Tells the Qube to switch its motor off; to be called before anything else. A program that hung
- * before this start, or a board that lost its supply, may have left a voltage there. */
+/* Tells the Qube to switch its motor off; to be called before every other function. A program that
+ * hung before this start, or a board that lost its supply, may have left a voltage there. */
 void board_switch_qube_off(void);
 
 /* Gives this board's own serial number, most significant byte first: drawn at random once, then
@@ -24,10 +24,10 @@ void board_start(void);
 /* Microseconds since the start, modulo 2^32. */
 uint32_t board_time_us(void);
 
-/* Whether a sampling period has begun since the last call that returned true. */
+/* Returns whether a sampling period has begun since the last call that returned true. */
 bool board_sampling_is_due(void);
 
-/* A number that no start of this board has had before; kept over power-off. */
+/* Increments a 16-bit number in the EEPROM and returns it; it repeats after 65 536 calls. */
 uint16_t board_next_boot_number(void);
 
 /* The emergency-stop switch: the first function returns whether its contact is closed now, the
@@ -48,7 +48,7 @@ void board_send(const uint8_t *bytes, uint8_t length);
  * `board_qube_ended` has returned true. */
 bool board_qube_is_busy(void);
 uint32_t board_qube_begin(const uint8_t command[QUBE_FRAME_BYTES]);
-/* Whether a frame has ended since the last call; if so, copies the Qube's answer. */
+/* Returns whether a frame has ended since the last call; if so, copies the Qube's answer. */
 bool board_qube_ended(uint8_t answer[QUBE_FRAME_BYTES]);
 
 /* Feeds the chip's own watchdog. If it is not fed for 16 ms, it switches the motor off, and 16 ms

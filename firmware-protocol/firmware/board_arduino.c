@@ -76,9 +76,9 @@ static volatile bool sampling_is_due;
 static volatile uint8_t receive_ring[RECEIVE_RING_BYTES];
 static volatile uint8_t receive_head;
 static volatile uint8_t receive_tail;
-/* Whether bytes were lost directly before the byte at the same place of the ring, or that byte is
- * garbled. The interrupt sets and the main loop clears a place, never both at one time: the
- * interrupt's place holds no byte yet. */
+/* True where bytes were lost directly before the byte at the same place of the ring, or where that
+ * byte is garbled. The interrupt sets and the main loop clears a place, never both at one time:
+ * the interrupt's place holds no byte yet. */
 static volatile bool lost_before[RECEIVE_RING_BYTES];
 
 static volatile uint8_t send_ring[SEND_RING_BYTES];
@@ -112,7 +112,7 @@ static struct {
 extern uint8_t __heap_start;
 
 /* After a restart by the watchdog, the watchdog still runs, with its shortest time. So it is
- * switched off before anything else. */
+ * switched off before `main` begins. */
 static void stop_watchdog_early(void) __attribute__((naked, used, section(".init3")));
 static void stop_watchdog_early(void)
 {

@@ -23,7 +23,8 @@ static bool is_newer(uint16_t candidate, uint16_t last)
     return (int16_t)(uint16_t)(candidate - last) > 0;
 }
 
-/* Whether an act may answer this sample: it is the last one given and no older than 20 ms. */
+/* Returns whether an act may answer this sample: it is the last one given and no older than
+ * 20 ms. */
 static bool answers_fresh_sample(const struct device *device, uint32_t sampled_at_us, uint32_t now_us)
 {
     return device->sample_given && sampled_at_us == device->previous_sample_us &&
@@ -241,8 +242,9 @@ static bool answer_sample(struct device *device, struct link_frame *reply)
     return true;
 }
 
-/* Whether a Sample can be answered: the last reading shows the effect of all requests, or there is
- * no Qube whose reading it could wait for. After a single odd frame it waits for the next one. */
+/* Returns whether a Sample can be answered: the last reading shows the effect of all requests, or
+ * there is no Qube whose reading it could wait for. After a single odd frame the Sample waits for
+ * the next one. */
 static bool sample_is_ready(const struct device *device)
 {
     if (!device->qube_present) {

@@ -31,7 +31,7 @@ struct device_sample {
 
 struct device {
     struct device_identity identity;
-    /* Returns a number that no earlier start of this board had. */
+    /* Returns a number that none of the last 65 535 calls on this board has returned. */
     uint16_t (*next_boot_number)(void);
     /* Number of this start, and the upper half of its nonces. The two are equal until all 65 535
      * nonces under `boot_number` are used up; `boot_number` is then replaced. */
@@ -43,11 +43,11 @@ struct device {
     /* Nonce for the next arm; 0 is none. */
     uint32_t nonce;
     bool watchdog_tripped;
-    /* Whether an amplifier fault has led to Faulted since the last Hello. */
+    /* True if an amplifier fault has led to Faulted since the last Hello. */
     bool amplifier_failed;
     uint32_t watchdog_fed_us;
     uint16_t last_act_sequence;
-    /* Whether a sample was given that no act has answered yet. */
+    /* True if a sample was given that no act has answered yet. */
     bool awaits_act;
     /* Last sample given since the last Hello, which acts must name. */
     bool sample_given;
@@ -67,13 +67,14 @@ struct device {
     uint16_t motor_word;
     uint16_t motor_word_under_way;
     uint16_t motor_word_at_qube;
-    /* Number, modulo 256, of the requests whose effect a sample must show. */
+    /* Number, modulo 256, of the last request whose effect a sample must show. A Sample is such a
+     * request, too: it demands a reading of its own. */
     uint8_t change;
-    /* Whether the next frame must clear a stall error, and whether the current frame does. */
+    /* True if the next frame must clear a stall error; true if the current frame does. */
     bool clears_stall;
     bool clearing_frame;
 
-    /* Whether a frame has ended since the start; until then nothing is known of the Qube. */
+    /* True once a frame has ended since the start; until then nothing is known of the Qube. */
     bool qube_was_asked;
     bool qube_present;
     uint8_t absent_frames;
@@ -95,8 +96,8 @@ void device_start(struct device *device, const struct device_identity *identity,
  * `device_waits` returns true. */
 bool device_request(struct device *device, const struct link_frame *request, uint32_t now_us,
                     struct link_frame *reply);
-/* Whether requests must wait: for the frame of a Sample, or for the end of the first frame, before
- * which nothing is known of the Qube. */
+/* Returns whether requests must wait: for the frame of a Sample, or for the end of the first frame,
+ * before which nothing is known of the Qube. */
 bool device_waits(const struct device *device);
 /* Answers a Sample whose frame has ended; returns whether `reply` must be sent now. */
 bool device_answers_late(struct device *device, struct link_frame *reply);
@@ -112,7 +113,7 @@ void device_poll(struct device *device, uint32_t now_us);
  * has been closed for so long that there must be a switch, which the board then stores. */
 bool device_stop_switch(struct device *device, bool is_closed, uint32_t now_us);
 
-/* Whether a frame should begin now, without waiting for the sampling timer. */
+/* Returns whether a frame should begin now, without waiting for the sampling timer. */
 bool device_wants_frame(const struct device *device);
 /* Composes the content of the frame that begins now; `device_frame_began` then takes the time at
  * which its encoders were read. */

@@ -1,7 +1,8 @@
 /* The program of the microcontroller between a computer and a Quanser Qube.
  *
- * Interrupts only move bytes and count time. The main loop makes all decisions, one after the
- * other, so that no decision sees data that are half written. */
+ * The main loop makes all decisions, one after the other, so that no decision sees data that are
+ * half written. Interrupts only move bytes and count time, with one exception: the interrupt of the
+ * chip's watchdog switches the motor off when no frame to the Qube has ended for 16 ms. */
 #include "board.h"
 #include "device.h"
 #include "link.h"
@@ -36,7 +37,7 @@ static void send(const struct link_frame *reply)
     board_send(bytes, link_encode(reply, bytes));
 }
 
-/* If a frame to the Qube has ended, passes the Qube's answer to the device. */
+/* Passes the Qube's answer to the device if a frame to the Qube has ended. */
 static void end_qube_frame(void)
 {
     uint8_t answer[QUBE_FRAME_BYTES];

@@ -117,7 +117,7 @@ impl StatusBits {
     /// Bits that are 0 in this version.
     pub const RESERVED: u8 = 1 << 7;
 
-    /// Whether this flag is set; `bit` is one of the constants above.
+    /// Returns whether this flag is set; `bit` is one of the constants above.
     #[must_use]
     pub fn has(self, bit: u8) -> bool {
         self.0 & bit != 0
@@ -159,17 +159,18 @@ wire_enum! {
 wire_enum! {
     /// The state of a device; `PROTOCOL.md` has the table of transitions.
     DeviceState {
-        /// Started, greeted by a host of another protocol version, or its Qube was switched off and
-        /// on. The motor is off.
+        /// The state after a start, after a hello of another protocol version, and after the Qube
+        /// was switched off and on. The motor is off.
         Idle = 0,
         /// Greeted. The motor is off.
         Greeted = 1,
         /// Acts reach the motor.
         Armed = 2,
-        /// The watchdog switched the motor off, which stays off until the next hello and arm.
+        /// The watchdog switched the motor off, until the next hello and `Arm` request.
         Tripped = 3,
         /// While the device was armed, the amplifier failed, the arm stalled, the Qube did not
-        /// answer, or the emergency stop opened. The motor stays off until the next hello and arm.
+        /// answer, or the emergency stop opened. The motor stays off until the next hello and `Arm`
+        /// request.
         Faulted = 4,
     }
 }
@@ -182,15 +183,16 @@ wire_enum! {
         NotGreeted = 1,
         /// The device is not armed.
         NotArmed = 2,
-        /// The watchdog has tripped: the host must send hello and arm first.
+        /// The watchdog has tripped: the host must send a hello and an `Arm` request first.
         WatchdogTripped = 3,
-        /// A fault is latched or lasts: the host must send hello and arm once the cause is gone.
+        /// A fault is latched or lasts: the host must send a hello and an `Arm` request once the
+        /// cause is gone.
         Faulted = 4,
         /// The nonce is 0 or not the last one given, or an `Arm` request has used it.
         WrongNonce = 5,
         /// The device is armed already.
         AlreadyArmed = 6,
-        /// The act is not newer than the last one accepted.
+        /// The act is not newer than the last accepted act or `Arm` request.
         StaleSequence = 7,
         /// The voltage is above 5000 mV or below -5000 mV.
         VoltageOutOfRange = 8,
@@ -212,7 +214,7 @@ impl RefusalReason {
     #[must_use]
     pub fn describe(self) -> &'static str {
         match self {
-            Self::NotGreeted => "no hello came before; start the command again",
+            Self::NotGreeted => "it needs a hello first; start the command again",
             Self::NotArmed => "it is not armed",
             Self::WatchdogTripped => "its watchdog tripped; start the command again",
             Self::Faulted => {

@@ -20,7 +20,7 @@ pub enum Request {
     },
     /// Lets the amplifier follow acts, starting at 0 V.
     Arm {
-        /// Nonce from the last hello or disarm reply; valid for one arm.
+        /// Nonce from the last hello or disarm reply; valid for one `Arm` request.
         nonce: u32,
     },
     /// Asks for one sample.

@@ -1,6 +1,7 @@
 use crate::MAX_SAMPLE_AGE_US;
 
-/// Whether `candidate` comes after `last` on the circle of sequence numbers: 1 to 32 767 ahead.
+/// Returns whether `candidate` comes after `last` on the circle of sequence numbers: 1 to 32 767
+/// ahead.
 ///
 /// In C: `(int16_t)(uint16_t)(candidate - last) > 0`.
 #[must_use]
@@ -8,10 +9,10 @@ pub fn is_newer(candidate: u16, last: u16) -> bool {
     candidate.wrapping_sub(last) as i16 > 0
 }
 
-/// Whether an act that arrives at `now_us` and names the sample of `sampled_at_us` may be carried
-/// out: it must name the last sample that the device gave (`given_us`, `None` if it gave none since
-/// the last hello), and that sample must be no older than [`MAX_SAMPLE_AGE_US`]. All times are by
-/// the device's clock, microseconds modulo 2^32.
+/// Returns whether an act that arrives at `now_us` and names the sample of `sampled_at_us` may be
+/// carried out: it must name the last sample that the device gave (`given_us`, `None` if it gave
+/// none since the last hello), and that sample must be no older than [`MAX_SAMPLE_AGE_US`]. All
+/// times are by the device's clock, microseconds modulo 2^32.
 ///
 /// In C: `given && sampled_at == given_at && (uint32_t)(now - sampled_at) <= MAX_SAMPLE_AGE_US`.
 #[must_use]

@@ -5,7 +5,7 @@ pub const BAUD_RATE: u32 = 500_000;
 /// Bits on the line for each byte: start bit, eight data bits, stop bit.
 pub const BITS_PER_BYTE: u32 = 10;
 
-/// Time since the last accepted arm request or act after which the device switches its amplifier
+/// Time since the last accepted `Arm` request or act after which the device switches its amplifier
 /// off, ms.
 pub const WATCHDOG_MS: u16 = 50;
 

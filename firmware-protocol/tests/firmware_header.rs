@@ -90,35 +90,35 @@ fn header() -> String {
          \x20* PROTOCOL.md explains the names. */\n\
          #ifndef WIRE_H\n#define WIRE_H\n\n",
     );
-    let h = &mut header;
+    let text = &mut header;
     let mut version = env!("CARGO_PKG_VERSION").split('.');
     for part in ["MAJOR", "MINOR", "PATCH"] {
-        define(h, &format!("FIRMWARE_VERSION_{part}"), version.next().unwrap());
+        define(text, &format!("FIRMWARE_VERSION_{part}"), version.next().unwrap());
     }
-    define(h, "PROTOCOL_VERSION", format_args!("{PROTOCOL_VERSION}u"));
-    define(h, "QUBE_MODULE_ID", format_args!("0x{QUBE_MODULE_ID:04X}u"));
-    define(h, "BAUD_RATE", format_args!("{BAUD_RATE}ul"));
-    define(h, "WATCHDOG_MS", format_args!("{WATCHDOG_MS}u"));
-    define(h, "WATCHDOG_POLL_MS", format_args!("{WATCHDOG_POLL_MS}u"));
-    define(h, "MAX_SAMPLE_AGE_US", format_args!("{MAX_SAMPLE_AGE_US}ul"));
-    define(h, "NO_ACT_US", format_args!("0x{NO_ACT_US:04X}u"));
-    define(h, "MAX_PAYLOAD_BYTES", format_args!("{MAX_PAYLOAD_BYTES}u"));
-    define(h, "MAX_FRAME_BYTES", format_args!("{MAX_FRAME_BYTES}u"));
-    define(h, "MAX_VOLTAGE_MV", MAX_VOLTAGE_MV);
-    define(h, "FULL_MOTOR_COUNTS", format_args!("{FULL_MOTOR_COUNTS}l"));
-    define(h, "SUPPLY_MV", format_args!("{SUPPLY_MV}l"));
-    define(h, "MOTOR_ENABLE", format_args!("0x{MOTOR_ENABLE:04X}u"));
-    define(h, "CURRENT_ZERO", format_args!("{CURRENT_ZERO}l"));
-    define(h, "CURRENT_COUNTS_PER_A", format_args!("{CURRENT_COUNTS_PER_A}l"));
-    define(h, "TACHOMETER_TICKS", format_args!("0x{TACHOMETER_TICKS:06X}ul"));
-    define(h, "TACHOMETER_STILL", format_args!("0x{TACHOMETER_STILL:06X}ul"));
-    define(h, "TACHOMETER_NEGATIVE", format_args!("0x{TACHOMETER_NEGATIVE:06X}ul"));
-    define(h, "TACHOMETER_COUNTS_S_TICKS", format_args!("{TACHOMETER_COUNTS_S_TICKS}ul"));
+    define(text, "PROTOCOL_VERSION", format_args!("{PROTOCOL_VERSION}u"));
+    define(text, "QUBE_MODULE_ID", format_args!("0x{QUBE_MODULE_ID:04X}u"));
+    define(text, "BAUD_RATE", format_args!("{BAUD_RATE}ul"));
+    define(text, "WATCHDOG_MS", format_args!("{WATCHDOG_MS}u"));
+    define(text, "WATCHDOG_POLL_MS", format_args!("{WATCHDOG_POLL_MS}u"));
+    define(text, "MAX_SAMPLE_AGE_US", format_args!("{MAX_SAMPLE_AGE_US}ul"));
+    define(text, "NO_ACT_US", format_args!("0x{NO_ACT_US:04X}u"));
+    define(text, "MAX_PAYLOAD_BYTES", format_args!("{MAX_PAYLOAD_BYTES}u"));
+    define(text, "MAX_FRAME_BYTES", format_args!("{MAX_FRAME_BYTES}u"));
+    define(text, "MAX_VOLTAGE_MV", MAX_VOLTAGE_MV);
+    define(text, "FULL_MOTOR_COUNTS", format_args!("{FULL_MOTOR_COUNTS}l"));
+    define(text, "SUPPLY_MV", format_args!("{SUPPLY_MV}l"));
+    define(text, "MOTOR_ENABLE", format_args!("0x{MOTOR_ENABLE:04X}u"));
+    define(text, "CURRENT_ZERO", format_args!("{CURRENT_ZERO}l"));
+    define(text, "CURRENT_COUNTS_PER_A", format_args!("{CURRENT_COUNTS_PER_A}l"));
+    define(text, "TACHOMETER_TICKS", format_args!("0x{TACHOMETER_TICKS:06X}ul"));
+    define(text, "TACHOMETER_STILL", format_args!("0x{TACHOMETER_STILL:06X}ul"));
+    define(text, "TACHOMETER_NEGATIVE", format_args!("0x{TACHOMETER_NEGATIVE:06X}ul"));
+    define(text, "TACHOMETER_COUNTS_S_TICKS", format_args!("{TACHOMETER_COUNTS_S_TICKS}ul"));
 
-    c_enum(h, "request_type", "REQUEST", &request_types());
+    c_enum(text, "request_type", "REQUEST", &request_types());
     // A device drops frames with a type from 0x80 on, because only replies have such a type.
-    define(h, "FIRST_REPLY_TYPE", "0x80u");
-    c_enum(h, "reply_type", "REPLY", &reply_types());
+    define(text, "FIRST_REPLY_TYPE", "0x80u");
+    c_enum(text, "reply_type", "REPLY", &reply_types());
     let status = [
         ("Armed", StatusBits::ARMED),
         ("WatchdogTripped", StatusBits::WATCHDOG_TRIPPED),
@@ -129,15 +129,15 @@ fn header() -> String {
         ("StopSwitchFitted", StatusBits::STOP_SWITCH_FITTED),
     ]
     .map(|(name, bit)| (name.to_owned(), bit));
-    c_enum(h, "status_bit", "STATUS", &status);
+    c_enum(text, "status_bit", "STATUS", &status);
     macro_rules! all {
         ($type:ident) => {
             $type::ALL.iter().map(|value| (format!("{value:?}"), *value as u8)).collect::<Vec<_>>()
         };
     }
-    c_enum(h, "device_kind", "KIND", &all!(DeviceKind));
-    c_enum(h, "device_state", "STATE", &all!(DeviceState));
-    c_enum(h, "refusal_reason", "REFUSAL", &all!(RefusalReason));
+    c_enum(text, "device_kind", "KIND", &all!(DeviceKind));
+    c_enum(text, "device_state", "STATE", &all!(DeviceState));
+    c_enum(text, "refusal_reason", "REFUSAL", &all!(RefusalReason));
     header.push_str("\n#endif\n");
     header
 }

@@ -36,7 +36,7 @@ fn program() -> &'static Path {
     PROGRAM.get_or_init(|| {
         let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join("firmware_layers");
         if !compile(&[SANITISERS], &program) {
-            assert!(compile(&[], &program), "it does not compile");
+            assert!(compile(&[], &program), "the C program does not compile");
             let required = std::env::var_os("QUBE_HIL_REQUIRE_FIRMWARE")
                 .is_some_and(|value| !value.is_empty());
             assert!(!required, "the firmware must be tested here, but cc has no {SANITISERS}");
@@ -53,13 +53,13 @@ fn ask(questions: &[String]) -> Vec<String> {
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
-        .expect("it starts");
+        .expect("the C program starts");
     let mut stdin = child.stdin.take().unwrap();
     let input = questions.join("\n") + "\n";
     let writer = std::thread::spawn(move || stdin.write_all(input.as_bytes()).unwrap());
     let output = child.wait_with_output().unwrap();
     writer.join().unwrap();
-    assert!(output.status.success(), "it failed: {}", output.status);
+    assert!(output.status.success(), "the C program failed: {}", output.status);
     let answers: Vec<_> =
         String::from_utf8(output.stdout).unwrap().lines().map(str::to_owned).collect();
     assert_eq!(answers.len(), questions.len());
@@ -83,7 +83,7 @@ impl Random {
 }
 
 #[test]
-fn the_firmware_does_what_the_golden_file_says() {
+fn the_firmware_agrees_with_the_golden_file() {
     let mut questions = Vec::new();
     let mut expected = Vec::new();
     for line in GOLDEN.lines().filter(|line| !line.starts_with('#')) {

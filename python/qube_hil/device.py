@@ -23,7 +23,7 @@ from .settings import as_path, refuse_options, shown
 
 class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
     """One Qube, real or emulated: the control thread, the guard, the limit on the voltage and the watchdog stay in the
-    program, which asks Python for a voltage at each tick.
+    program, which requests a voltage from Python at each tick.
 
     Args:
         device: Serial port of a Qube, a text or a path, or ``hil:CARD@ID`` for a Qube with the USB panel. None drives the
@@ -55,10 +55,11 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
         SettingsError: An argument or option is refused, or the folder of ``recordings`` cannot be made.
         DeviceError: The Qube cannot be opened.
 
-    ``info`` has ``late_answers``. After a step it also has ``ticks``, the number of control periods that the step took: one,
-    and more after late answers, when the reward is the sum over all of them. ``voltage_v`` is the voltage that the motor got
-    in the last of these periods: Python's, unless an asking push, which shows whether the arm's encoder counts, a late
-    answer or the guard replaced it. At the end of an episode there are ``ending`` in words, ``return`` and ``recording``.
+    ``info`` has ``late_answers``. After a step it also has ``ticks``, the number of requests for a voltage in the step: one,
+    and more after late answers. The reward is the sum over all control periods of the step, also over those without a
+    request, in which a sample was lost or which were skipped. ``voltage_v`` is the voltage that the motor got in the last of
+    these periods: Python's, unless an asking push, which shows whether the arm's encoder counts, a late answer or the guard
+    replaced it. At the end of an episode there are ``ending`` in words, ``return`` and ``recording``.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 100}

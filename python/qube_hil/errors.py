@@ -27,7 +27,7 @@ class PolicyError(QubeHilError, ValueError):
 
 
 class RecordingError(QubeHilError, ValueError):
-    """A recording cannot be read, or one of its bytes has changed."""
+    """A recording cannot be read, is cut off, or has a byte that has changed."""
 
 
 class SessionError(QubeHilError, ValueError):
@@ -35,7 +35,7 @@ class SessionError(QubeHilError, ValueError):
 
 
 class IdentificationError(QubeHilError, ValueError):
-    """Recordings cannot be fitted, or no Qube explains them."""
+    """Recordings cannot be read or fitted, or no Qube explains them."""
 
 
 class TrainingError(QubeHilError, RuntimeError):
@@ -43,8 +43,8 @@ class TrainingError(QubeHilError, RuntimeError):
 
 
 class DeviceError(QubeHilError, RuntimeError):
-    """The Qube cannot be opened, or a fault ended the episode. The message says whether the motor is off: after a lost
-    link or a restart of the board it may still have its last voltage, and the operator must switch the Qube off."""
+    """The Qube cannot be opened, or an episode failed, mostly by a fault. The message says whether the motor is off: after
+    a lost link or a restart of the board it may still have its last voltage, and the operator must switch the Qube off."""
 
 
 class LateError(DeviceError):
@@ -52,8 +52,8 @@ class LateError(DeviceError):
 
 
 class BusyError(QubeHilError, RuntimeError):
-    """Another thread is inside a call of the same Qube or simulation. The call that raises this has had no effect."""
+    """Another call of the same Qube or simulation is under way. The call that raises this has had no effect."""
 
 
 class ClosedError(QubeHilError, RuntimeError):
-    """The Qube is closed, or belongs to another process."""
+    """The Qube or the environment is closed, or the Qube belongs to another process."""

@@ -28,14 +28,14 @@ class IncompleteRecording:
     file: str
     """Path of the file."""
     reason: str
-    """Why: its end or ticks are missing, or the rollout ended early."""
+    """The reason: its end or ticks are missing, or the rollout ended early."""
     used_s: float
     """Duration of the motion that was fitted, s."""
 
 
 @dataclass(frozen=True)
 class LeftOutRecording:
-    """A recording that was not used: it is too short, or too little moves in it."""
+    """A recording that was not used: it is too short, its voltage is too small, or too little moves in it."""
 
     file: str
     """Path of the file."""
@@ -50,7 +50,7 @@ class Identified:
     estimates: dict[str, Estimate]
     """Estimates by the quantity's name."""
     verdict: str
-    """Whether the model describes the Qube: ``fits``, ``fits_but`` or ``does_not_fit``."""
+    """The verdict on the model: ``fits``, ``fits_but`` or ``does_not_fit``."""
     doubts: list[str]
     """Names of the effects that the model seems to lack."""
     profile: str
@@ -59,7 +59,7 @@ class Identified:
     incomplete: list[IncompleteRecording]
     """Recordings that hold only a part of their rollouts; the fit used that part."""
     left_out: list[LeftOutRecording]
-    """Recordings that are too short, or in which too little moves; the fit did not use them."""
+    """Recordings that the fit did not use: see `LeftOutRecording`."""
 
 
 def identify(

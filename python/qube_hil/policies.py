@@ -21,7 +21,7 @@ from .settings import as_number, as_path, as_text, is_whole, shown
 
 class Policy:
     """A policy: a network, the classical controller, an excitation, or the name of a controller outside of this program.
-    Its files are those of the program. Policies are equal if the bytes of their files are."""
+    Its files are those of the program. Policies are equal if their files have equal bytes."""
 
     def __init__(self, core: _core.Policy) -> None:
         """Wraps a policy of the compiled part. Callers use `Policy.load`, `Policy.from_bytes` or `qube_hil.train`."""
@@ -142,17 +142,17 @@ class Policy:
         Args:
             model: The model, in memory or from the ``load`` of its class.
             action_scale_v: Voltage for an action of 1, V; 5 in the environments of this package.
-            normalised: Whether ``VecNormalize`` scaled the observations in training. Give False if it did not. None asks
-                the model's environment. A model without one, such as one that ``load`` has read without ``env``, does not
-                know: then a ``UserWarning`` says so.
+            normalised: True if ``VecNormalize`` scaled the observations in training, False if it did not. None takes the
+                answer from the model's environment; for a model without one, such as one that ``load`` has read without
+                ``env``, a ``UserWarning`` says that it cannot be known.
             named: As for `from_layers`. Without ``observation`` and ``history``, the history is that of the model's
                 environment, and without ``filter_rad_s`` the recorded sensors are those of the environment, if it is a
                 simulation of this package; a model without one needs ``history`` where its observation has commands.
 
         Raises:
             PolicyError: ``VecNormalize`` scales the observations of the model's environment, or ``normalised`` is true; the
-                features extractor is not the default one; PPO or A2C has ``squash_output``; the policy has an LSTM; or
-                as for `from_layers`.
+                features extractor is not the default one; PPO or A2C has ``squash_output``; the policy has an LSTM, or no
+                known actor; or as for `from_layers`.
         """
         normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
         if normalised or (normaliser is not None and getattr(normaliser, "norm_obs", True)):
@@ -301,7 +301,7 @@ class Policy:
         return type(self).from_bytes, (self.to_bytes(),)
 
     def __eq__(self, other: object) -> bool:
-        """Whether the other policy has the same bytes; the memory of an episode does not count."""
+        """Returns whether the other policy has the same bytes; the memory of an episode does not count."""
         if not isinstance(other, Policy):
             return NotImplemented
         return self.to_bytes() == other.to_bytes()
@@ -370,9 +370,9 @@ def _as_layers(layers: Any) -> list[tuple[Float32s, Float32s]]:
 
 
 def _check_chain(layers: list[tuple[Float32s, Float32s]], entries: int, is_own: bool) -> None:
-    """Checks that each layer has as many inputs as the layer before has outputs, and that each bias fits its weight. In
-    the first layer it finds transposed weights and, for this program's own observation, another number of last commands;
-    the compiled part compares the first layer with other observations."""
+    """Checks that each layer has as many inputs as the layer before has outputs, that each bias fits its weight, and that
+    the last layer has one output. In the first layer it finds transposed weights and, for this program's own observation,
+    another number of last commands; the compiled part compares the first layer with other observations."""
     source = f"the observation has {entries} entries"
     first = layers[0][0].shape[1]
     if is_own and first != entries and 6 <= first <= 10 and layers[0][0].shape[0] != entries:
@@ -420,7 +420,7 @@ def _as_corner(filter_rad_s: object) -> float | None:
 
 
 def _as_limit(clip_observation: object) -> float | None:
-    """The magnitude at which an observation is clipped; None without."""
+    """The magnitude at which an observation is clipped; None if it is not clipped."""
     if clip_observation is None:
         return None
     return as_number("clip_observation", clip_observation, "a number above 0, or None")

@@ -17,7 +17,7 @@ class Recording(dict[str, npt.NDArray[Any]]):
 
     ``pandas.DataFrame(recording)`` and ``polars.DataFrame(recording)`` make tables of it. The columns: ``tick``,
     ``time_s`` (since the first tick), ``phase`` (settling, running or braking), the state that the policy sees
-    (``theta_rad``, ``alpha_rad``, ``theta_dot_rad_s``, ``alpha_dot_rad_s``), ``wanted_v`` (asked for by the policy,
+    (``theta_rad``, ``alpha_rad``, ``theta_dot_rad_s``, ``alpha_dot_rad_s``), ``wanted_v`` (given by the policy,
     where no asking push replaced its voltage, by settling or by the brake), ``voltage_v`` (sent), ``reward`` (0 outside
     of running), the sample (``has_sample``, ``device_time_s``, ``theta_counts``, ``alpha_counts``,
     ``measured_theta_rad``, ``measured_alpha_rad``, ``tachometer_rad_s``, ``current_a``, ``applied_v``,
@@ -33,7 +33,7 @@ class Recording(dict[str, npt.NDArray[Any]]):
     return_: float
     """Sum of the rewards of the ticks that the file has: of a part of the rollout if the recording is not whole."""
     is_whole: bool
-    """Whether the file is complete; false for a recording that was cut off, even if it was recovered since."""
+    """True if the file is complete; false for a recording that was cut off, even if it was recovered since."""
     _policy: bytes
 
     @property
@@ -47,7 +47,7 @@ def recording(path: str | os.PathLike[str], *, partial: bool = False) -> Recordi
 
     Args:
         path: File of the recording.
-        partial: Whether a recording that is cut off gives its whole ticks. ``is_whole`` is then false.
+        partial: If true, a recording that is cut off gives its whole ticks, and its ``is_whole`` is false.
 
     Raises:
         RecordingError: The file cannot be read, a byte of it has changed, or it is cut off and ``partial`` is false. A

@@ -35,7 +35,7 @@ class Candidate:
     successes: int
     """Number of successful rollouts."""
     mean_return: float | None
-    """Mean of the returns."""
+    """Mean of the returns; None without any."""
     policy: Path | None
     """File of its policy; None before it is trained."""
     recordings: list[Path]
@@ -105,7 +105,8 @@ class Session:
         #: Candidates in order.
         self.candidates: list[Candidate] = [self._candidate(it) for it in read["candidates"]]
         best = read["recommended"]
-        #: The verified candidate with the highest mean return, whose policy is the one to use; None if none is verified.
+        #: The best verified candidate, whose policy is the one to use: the highest mean return, but candidates whose rollouts
+        #: all succeeded quietly come before all others. None if none is verified.
         self.recommended: Candidate | None = None if best is None else self.candidates[best]
 
     def surrogate(self) -> Surrogate:

@@ -23,20 +23,20 @@ def shown(value: object) -> str:
 
 
 def as_text(name: str, value: object, wanted: str) -> str:
-    """An argument that is a text; ``wanted`` says what it names."""
+    """An argument that is a text; ``wanted`` describes the accepted texts."""
     if isinstance(value, str):
         return value
     raise SettingsError(f"{name} = {shown(value)}: give {wanted}")
 
 
 def as_path(name: str, value: object, wanted: str) -> str:
-    """An argument that is a path; ``wanted`` says what it names."""
+    """An argument that is a path; ``wanted`` describes the accepted paths."""
     path = os.fspath(value) if isinstance(value, (str, os.PathLike)) else value
     return as_text(name, path, wanted)
 
 
 def as_number(name: str, value: object, wanted: str) -> float:
-    """An argument that is a number; ``wanted`` says which one."""
+    """An argument that is a number; ``wanted`` describes the accepted numbers."""
     if isinstance(value, Real) and not isinstance(value, bool):
         try:
             return float(value)
@@ -46,12 +46,12 @@ def as_number(name: str, value: object, wanted: str) -> float:
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Whether an argument is a whole number; `True` and `False` are none."""
+    """Returns whether an argument is a whole number; `True` and `False` are none."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def as_texts(name: str, values: object, wanted: str) -> list[str]:
-    """An argument that lists texts or paths; ``wanted`` says what they are."""
+    """An argument that lists texts or paths; ``wanted`` describes the accepted entries."""
     if isinstance(values, Iterable) and not isinstance(values, (bytes, bytearray, Mapping)):
         listed = list(values)
         if all(isinstance(one, (str, os.PathLike)) for one in listed):
@@ -67,13 +67,13 @@ def as_model(model: object) -> str | None:
 
 
 def refuse_options(options: object, remedy: str) -> None:
-    """Refuses options of ``reset``, of which there are none; ``remedy`` says what to do instead."""
+    """Refuses options of ``reset``, of which there are none; ``remedy`` names the alternative."""
     if options:
         raise SettingsError(f"options = {shown(options)}: reset takes none. {remedy}")
 
 
 def _fault(value: object, name: str) -> str | None:
-    """The first value below the entry ``name`` that JSON cannot hold, with what to give instead."""
+    """The first value below the entry ``name`` that JSON cannot hold, with the accepted values."""
     if isinstance(value, (np.generic, np.ndarray)):
         value = value.tolist()
     if value is None or isinstance(value, (str, int)):

@@ -58,7 +58,7 @@ struct State {
 struct Requests {
     exchange: Arc<Exchange>,
     stop: Arc<AtomicBool>,
-    /// Whether the Qube is to be closed, or is closed.
+    /// True if the Qube is to be closed, or is closed.
     closed: AtomicBool,
 }
 
@@ -232,7 +232,7 @@ impl Device {
             Ending::Fault(fault) => return Err(ended_by(fault)),
         };
         let observed = self.observed(py, &last_state, &slot);
-        // The tick in which Python was asked last was the episode's last one, too.
+        // The tick of the last request was the episode's last one, too.
         let facts = (slot.late, slot.asked + 1 - asked, slot.sent_v());
         Ok((observed, reward, left, whole, facts, Some((ending.to_string(), return_))))
     }
@@ -258,8 +258,8 @@ impl Device {
         self.brake(py, &mut Turn::begin(state, &self.caller).state)
     }
 
-    /// Brakes the arm, switches the motor off and closes the Qube, whichever thread is using it.
-    /// Further calls do nothing.
+    /// Brakes the arm, switches the motor off and closes the Qube, whichever thread is using it. In
+    /// a forked process, and for a Qube that is closed, it does nothing.
     fn close(&self, py: Python<'_>) {
         if self.is_forked() {
             return;
@@ -291,7 +291,7 @@ pub fn close_all(py: Python<'_>, devices: Vec<Py<Device>>) {
 }
 
 impl Device {
-    /// Whether this process was forked from the one that opened the Qube.
+    /// Returns whether this process was forked from the one that opened the Qube.
     fn is_forked(&self) -> bool {
         self.process != std::process::id()
     }
@@ -331,7 +331,7 @@ impl Device {
     }
 
     /// Brakes the arm and ends the running episode, if there is one. An episode that ends by a
-    /// fault is an error.
+    /// fault, or fails, is an error.
     fn brake(&self, py: Python<'_>, state: &mut State) -> PyResult<()> {
         match self.end_episode(py, state)? {
             Some(Ending::Fault(fault)) => Err(ended_by(fault)),

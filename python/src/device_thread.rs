@@ -1,5 +1,5 @@
 //! The thread that owns the Qube of a device: it opens the Qube, and runs and scores one episode
-//! after the other. It knows nothing of Python.
+//! after the other. It does not use Python.
 
 use std::io;
 use std::path::PathBuf;
@@ -101,7 +101,7 @@ struct Server {
     exchange: Arc<Exchange>,
     stop: Arc<AtomicBool>,
     deadline: Option<Duration>,
-    /// Whether the zeros of the encoders hold and no fault is latched, so that an episode can
+    /// True while the zeros of the encoders hold and no fault is latched, so that an episode can
     /// begin.
     is_homed: bool,
 }
@@ -169,7 +169,7 @@ impl Server {
                 Ok(recorded) => break recorded,
             }
         };
-        // The rig knows whether the device has confirmed that the motor is off; the recording does
+        // The rig stores whether the device has confirmed that the motor is off; the recording does
         // not show it.
         let unconfirmed = rig.check_off().err().and_then(|error| error.fault());
         let fault = unconfirmed.or(rig.last_fault());

@@ -14,7 +14,7 @@ use qube_hil::storage::{SETTINGS_BYTES, read_text};
 use crate::errors::{bad_settings, shown};
 use crate::simulation::Lanes;
 
-/// Qubes of a distribution whose motions are checked.
+/// Number of Qubes of a distribution whose motions are checked.
 const MOTIONS_CHECKED: usize = 64;
 
 /// Control periods for which the motion of a Qube is checked.
@@ -160,7 +160,7 @@ fn read_model(name: &str) -> PyResult<Model> {
     })
 }
 
-/// The distribution around a profile, as that of the command `train`, and its name.
+/// The distribution around a profile, as the command `train` makes it, and its name.
 fn around_profile(around: &Around, plant: &PlantModel) -> PyResult<(DomainDistribution, String)> {
     let profile = around.profile(plant)?;
     let settings = ProfileSettings::of(&profile, plant, around.spread);
@@ -229,8 +229,8 @@ fn check_drawn_whole(quantity: Quantity, distribution: &Distribution) -> PyResul
     }))
 }
 
-/// Whether the motion of some Qubes of a distribution, which the full voltage pushes to and fro, is
-/// a finite number.
+/// Returns whether the motion of some Qubes of a distribution, which the full voltage pushes to and
+/// fro, is a finite number.
 fn moves(distribution: &DomainDistribution, settings: &SimulationSettings) -> bool {
     let mut tried = Lanes::new(MOTIONS_CHECKED, settings);
     for lane in 0..MOTIONS_CHECKED {

@@ -27,7 +27,7 @@ pub fn bad_policy(error: impl Display) -> PyErr {
     PolicyError::new_err(error.to_string())
 }
 
-/// A number with at most six digits, in scientific notation where that is shorter to read.
+/// A number with at most six digits, in scientific notation from 10^7 on; 0 below 10^-12.
 pub fn shown(value: f64) -> String {
     let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
     match rounded.abs() {

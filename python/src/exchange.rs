@@ -1,6 +1,6 @@
 //! The exchange between the control thread and Python. In each tick in which the policy decides,
-//! the control thread gives the estimated state and asks for a voltage, and Python answers. A tick
-//! without a sample asks for none. The requests of an episode are numbered from 1.
+//! the control thread gives the estimated state and requests a voltage, and Python answers. A tick
+//! without a sample requests none. The requests of an episode are numbered from 1.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -23,11 +23,11 @@ pub struct Exchange {
 /// The shared numbers of one episode.
 #[derive(Clone, Copy, Default)]
 pub struct Slot {
-    /// Number of times that the policy was asked for a voltage.
+    /// Number of requests for a voltage.
     pub asked: u64,
-    /// Whether the control thread waits for an answer.
+    /// True while the control thread waits for an answer.
     waiting: bool,
-    /// Estimated state with which the policy was last asked.
+    /// Estimated state of the last request.
     pub state: State,
     /// Last commands, as fractions of 5 V, newest first.
     pub commands: [f32; MAX_HISTORY],
@@ -35,9 +35,9 @@ pub struct Slot {
     pub earned: f64,
     /// Number of answers that came too late.
     pub late: u64,
-    /// Whether [`MAX_LATE_IN_A_ROW`] answers in a row were late, so that the rollout is stopped.
+    /// True once [`MAX_LATE_IN_A_ROW`] answers in a row were late, so that the rollout is stopped.
     pub gave_up: bool,
-    /// Whether the rollout is over.
+    /// True once the rollout is over.
     pub over: bool,
     answer_v: Option<f64>,
 }
@@ -93,7 +93,7 @@ impl Exchange {
     }
 }
 
-/// The controller that asks Python for each voltage, within the control thread.
+/// The controller that requests each voltage from Python, within the control thread.
 ///
 /// Unlike the controllers of the library it waits within the tick, because its voltage comes from
 /// elsewhere: at most until its deadline, or under a virtual clock until the answer is there. A

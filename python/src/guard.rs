@@ -5,11 +5,11 @@ use qube_hil::qube::{CONTROL_PERIOD_S, MAX_HISTORY, PlantModel, State};
 use qube_hil::safety::{Brake, ForesightSettings, TrustedForesight, clamp_to_mv};
 use qube_hil::simulation::{SensorModel, SimulationSettings};
 
-/// Foresight for many Qubes of a known plant. It does not know the parameters of a single Qube.
+/// Foresight for many Qubes of a known plant. It does not have the parameters of a single Qube.
 ///
-/// It sees the state as the guard of a real Qube does, through encoders and a filter, and simulates
-/// the brake before each voltage. It replaces a voltage after which the brake would come too late
-/// by the brake's voltage.
+/// It gets the state through a filter, as the guard of a real Qube does, and through encoders where
+/// the simulation has them. It simulates the brake before each voltage. It replaces a voltage after
+/// which the brake would come too late by the brake's voltage.
 pub struct Guard {
     plant: PlantModel,
     foresight: TrustedForesight,
@@ -84,7 +84,7 @@ impl Guard {
         };
     }
 
-    /// Whether the guard took over from the policy in this episode.
+    /// Returns whether the guard took over from the policy in this episode.
     pub fn took_over(&self, lane: usize) -> bool {
         self.lanes[lane].took_over
     }

@@ -2,8 +2,8 @@
 //!
 //! For the walls between the rooms (`ARCHITECTURE.md`) this crate is a second room `commands`: it
 //! may import everything of the library, and nothing imports this crate. Every function that takes
-//! long releases Python's lock. Errors are the classes of `qube_hil/errors.py`, with the messages
-//! of the library.
+//! long releases Python's lock. Errors are the classes of `qube_hil/errors.py`, most with the
+//! messages of the library.
 
 mod device;
 mod device_thread;

@@ -13,10 +13,10 @@ use qube_hil::telemetry::TickRecord;
 use crate::errors::RecordingError;
 
 /// Reads a recording and checks every byte. Returns a dictionary: `columns`; `header` and `outcome`
-/// as JSON (`outcome` is `None` in a recording that is cut off); `policy`, the bytes of its file;
-/// `return`; `whole`, false for a recording that was cut off, even if it was recovered since; and
-/// `cut`, the place and reason of the first defect in a recording that is cut off, otherwise
-/// `None`.
+/// as JSON (`outcome` is `None` where the recording was cut off before it); `policy`, the bytes of
+/// its file; `return`; `whole`, false for a recording that was cut off, even if it was recovered
+/// since; and `cut`, the place and reason of the first defect in a recording that is cut off,
+/// otherwise `None`.
 #[pyfunction]
 pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyDict>> {
     let recording =

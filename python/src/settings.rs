@@ -44,7 +44,8 @@ fn named_settings() -> [(&'static str, SimulationSettings); 3] {
 }
 
 /// Parses the settings of a simulation from JSON, either a name or an object, and checks them. A
-/// setting that the object leaves out has its default. `argument` is the name of Python's argument.
+/// setting that the object leaves out has its default, if there is one. `argument` is the name of
+/// Python's argument.
 pub fn read_settings(argument: &str, json: &str) -> PyResult<SimulationSettings> {
     let refused = |message: String| bad_settings(format!("{argument}: {message}"));
     let names = named_settings().map(|(known, _)| known).join(", ");
@@ -61,7 +62,7 @@ pub fn read_settings(argument: &str, json: &str) -> PyResult<SimulationSettings>
     };
     check_used(argument, &given).map_err(refused)?;
     check_table("", table, &every_entry()).map_err(refused)?;
-    // The message of serde_json ends with a place in the text that Python never sees.
+    // The message of serde_json ends with a place in the text, which Python does not get.
     let settings: SimulationSettings = serde_json::from_value(given.clone())
         .map_err(|error| refused(error.to_string().replace(" at line 0 column 0", "")))?;
     settings.check().map_err(|error| refused(in_words(&error)))?;
@@ -129,9 +130,10 @@ fn every_entry() -> Map<String, Value> {
     all
 }
 
-/// Checks that each entry of a table is known and of the type that the entry of `all` has. `path`
-/// is the table's own name, empty for the settings themselves. The error names the first entry
-/// that is refused, and the values that it accepts.
+/// Checks that each entry of a table is known and of the type that the entry of `all` has, and that
+/// no entry without a default is missing. `path` is the table's own name, empty for the settings
+/// themselves. The error names the first entry that is refused or missing, and the values that it
+/// accepts.
 fn check_table(
     path: &str,
     table: &Map<String, Value>,

@@ -20,10 +20,11 @@ use crate::settings::read_settings;
 /// Trains a policy and calls `on_update` with each update as JSON. Ctrl-C, or an exception in
 /// `on_update`, ends the training.
 ///
-/// `profile` is an identified Qube around which the simulated ones are drawn, in place of `model`.
-/// `simulation` is JSON, or `None` for the preset's simulation; `changes` are settings of the
-/// training as JSON; `initial` is a policy to continue from. Returns the policy, its best return,
-/// and the learning curve as JSON.
+/// `profile` is an identified Qube around which the simulated ones are drawn, in place of `model`;
+/// `distributions` (JSON) replaces the distributions of single quantities. `simulation` is JSON, or
+/// `None` for the preset's simulation, with the history of the model `robust` for this model and
+/// for a profile; `changes` are settings of the training as JSON; `initial` is a policy to continue
+/// from. Returns the policy, its best return, and the learning curve as JSON.
 #[pyfunction]
 #[allow(
     clippy::too_many_arguments,
@@ -50,8 +51,8 @@ pub fn train(
     let mut settings = changed(&of_preset, changes)?;
     settings.simulation = match simulation {
         Some(json) => read_settings("simulation", json)?,
-        // As in the command `train`, a profile and the model `robust` bring their own history of
-        // commands, and the preset the rest.
+        // As in the command `train`, a profile and the model `robust` set their own history of
+        // commands, and the preset sets the rest.
         None if profile.is_some() || model == Some(Model::Robust.name()) => {
             let history = SimulationSettings::robust().history;
             SimulationSettings { history, ..of_preset.simulation }
@@ -65,7 +66,8 @@ pub fn train(
     let initial =
         initial.map(|initial| initial.get().network(py).ok_or_else(without)).transpose()?;
     let from = if initial.is_some() { " from a policy" } else { "" };
-    // The command has an option for this weight too, and records the preset that it changes.
+    // Another weight of voltage changes does not change the recorded preset, as in the command
+    // `train`, which has an option for it.
     let voltage_change_weight = of_preset.voltage_change_weight;
     let compared = TrainSettings { voltage_change_weight, ..settings.clone() };
     let origin =

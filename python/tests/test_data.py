@@ -26,7 +26,7 @@ def test_a_recording_is_a_table_of_its_ticks(swing_up):
     assert set(read["phase"]) == {"settling", "running", "braking"}
     assert np.isclose(read["reward"].sum(), read.return_) and (read["reward"][~running] == 0.0).all()
     assert np.allclose(np.diff(read["time_s"]), 0.01)
-    # The pendulum is upright at the end, and the motor gets the voltage that the policy asks for, to the millivolt.
+    # The pendulum is upright at the end, and the motor gets the voltage that the policy gives, to the millivolt.
     upright = np.abs(np.abs(read["alpha_rad"][running][-100:]) - np.pi)
     assert upright.max() < 0.3
     wanted = np.clip(read["wanted_v"][running], -5.0, 5.0)
@@ -60,7 +60,7 @@ def test_a_parquet_table_has_the_numbers_of_the_recording(swing_up, tmp_path):
         assert table[name].to_pylist() == expected, name
 
 
-def test_a_damaged_recording_is_refused_and_a_cut_one_gives_what_is_there(swing_up, tmp_path):
+def test_a_damaged_recording_is_refused_and_a_cut_one_gives_its_whole_ticks(swing_up, tmp_path):
     data = swing_up.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) * 2 // 3])

@@ -67,7 +67,7 @@ def test_the_classical_controller_swings_up_from_python_and_its_recording_replay
     rewards, terminated, info, observations = episode(env, classical.act)
     assert not terminated and info["ending"] == "completed" and len(rewards) == 600
     assert info["return"] > 400.0 and info["late_answers"] == 0 and info["ticks"] == 1
-    # No sample is lost here, so that Python is asked in every tick.
+    # No sample is lost here, so that every tick requests a voltage from Python.
     assert np.isclose(sum(rewards), info["return"])
     read = qube_hil.recording(info["recording"])
     running = read["phase"] == "running"
@@ -97,7 +97,7 @@ def test_the_same_actions_give_the_same_bytes(virtual, classical, tmp_path):
     assert [path.name for path in recordings] == ["episode-0000.mcap", "episode-0001.mcap"] * 2
 
 
-def test_the_guard_takes_over_and_what_it_refused_replays_too(virtual):
+def test_the_guard_takes_over_and_a_refused_voltage_replays_too(virtual):
     env = virtual()
     _, terminated, info, _ = episode(env, lambda _: np.ones(1, np.float32))
     assert terminated and "brake" in info["ending"]
@@ -389,7 +389,7 @@ def test_a_device_is_neither_copied_nor_pickled(virtual):
     env.reset()
 
 
-def test_a_seed_of_reset_is_that_of_other_environments(virtual):
+def test_reset_takes_the_same_seeds_as_other_environments(virtual):
     env = virtual()
     env.reset(seed=np.int64(1))
     for seed in [-1, 1.0]:
@@ -440,7 +440,7 @@ def is_ended_by_a_busy_computer(recording):
 
 
 def says_busy(errors):
-    """Whether code of another interpreter ended with the error of a busy computer."""
+    """Returns whether code of another interpreter ended with the error of a busy computer."""
     return "LateError" in errors or "keep this computer busy" in errors
 
 

@@ -1,4 +1,5 @@
-"""Policies from other libraries. The classes here stand for torch's: the package reads only names and attributes."""
+"""Tests of policies from other libraries. The classes here replace torch's, of which the package reads only names and
+attributes."""
 
 import importlib
 import importlib.util
@@ -74,7 +75,7 @@ def computed(modules, observations):
 
 @pytest.mark.parametrize("activation", FUNCTIONS)
 @pytest.mark.parametrize("last", [[], [Tanh()]])
-def test_a_sequential_gives_its_own_outputs(activation, last, tmp_path):
+def test_a_policy_of_a_sequential_module_computes_the_outputs_of_the_module(activation, last, tmp_path):
     modules = [Linear(8, 256), activation(), Linear(256, 30, bias=False), activation(), Linear(30, 1), *last]
     policy = Policy.from_torch(modules, action_scale_v=2.0, history=2)
     observations = RANDOM.uniform(-1.0, 1.0, size=(200, 8)).astype(np.float32)
@@ -188,7 +189,7 @@ def test_a_model_takes_the_observation_of_its_environment():
         Policy.from_sb3(model(6, many))
 
 
-def test_the_default_layers_of_td3_are_refused_with_layers_that_are_not():
+def test_the_default_layers_of_td3_are_refused_and_the_message_gives_smaller_ones():
     modules = [Linear(6, 400), ReLU(), Linear(400, 300), ReLU(), Linear(300, 1), Tanh()]
     with pytest.raises(qube_hil.PolicyError, match=r"400 neurons.*policy_kwargs=dict\(net_arch=\[256, 256\]\)"):
         Policy.from_sb3(Named(policy=Named(actor=Named(mu=modules)), env=object()))
@@ -223,7 +224,7 @@ def test_an_actor_with_computations_outside_of_its_modules_is_refused():
 
 
 @pytest.mark.parametrize(
-    "modules, told",
+    "modules, message",
     [
         ([Linear(6, 4), Softplus(), Linear(4, 1)], "Softplus"),
         ([Linear(6, 4), Linear(4, 1)], "follow each other"),
@@ -235,15 +236,15 @@ def test_an_actor_with_computations_outside_of_its_modules_is_refused():
         ([], "no layers"),
     ],
 )
-def test_a_module_that_is_no_policy_is_named(modules, told):
-    with pytest.raises(qube_hil.PolicyError, match=told):
+def test_a_module_that_is_no_policy_is_refused_with_a_reason(modules, message):
+    with pytest.raises(qube_hil.PolicyError, match=message):
         Policy.from_torch(modules, action_scale_v=5.0)
 
 
-def test_arrays_and_names_that_cannot_be_are_named():
+def test_impossible_arrays_and_names_are_refused_with_a_reason():
     layers = [(np.ones((4, 6)), None), (np.ones((1, 4)), np.zeros(1))]
     Policy.from_layers(layers, action_scale_v=-5.0)
-    for wrong, told in [
+    for wrong, message in [
         ({"action_scale_v": 0.0}, "action_scale_v"),
         ({"activation": "gelu"}, "gelu"),
         ({"output": "clip"}, "clip"),
@@ -268,7 +269,7 @@ def test_arrays_and_names_that_cannot_be_are_named():
         ({"layers": [(np.ones(6), None)]}, "shapes"),
         ({"layers": [("x", None)]}, "numbers"),
     ]:
-        with pytest.raises(qube_hil.PolicyError, match=told):
+        with pytest.raises(qube_hil.PolicyError, match=message):
             Policy.from_layers(**{"layers": layers, "action_scale_v": 5.0, **wrong})
     for wrong in [
         {"action_scale_v": "5"}, {"activation": None}, {"output": 3}, {"filter_rad_s": "a"}, {"clip_observation": "a"},

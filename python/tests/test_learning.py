@@ -1,4 +1,4 @@
-"""Training, policies and identification."""
+"""Tests of training, policies and identification."""
 
 import _thread
 import copy
@@ -44,11 +44,11 @@ rows = [[1.0], [0.9, 1.0]]
 def test_a_training_gives_the_bytes_of_the_command(tmp_path):
     file = tmp_path / "mine.safetensors"
     program("train", "--model", "robust", "--preset", "quick", "--seed", 3, "--out", file)
-    told = []
-    trained = qube_hil.train("robust", seed=3, callback=told.append)
+    updates = []
+    trained = qube_hil.train("robust", seed=3, callback=updates.append)
     assert trained.policy.to_bytes() == file.read_bytes()
-    assert [update["update"] for update in told] == list(range(60))
-    assert (trained.curve["mean_return"] == [update["mean_return"] for update in told]).all()
+    assert [update["update"] for update in updates] == list(range(60))
+    assert (trained.curve["mean_return"] == [update["mean_return"] for update in updates]).all()
     assert trained.best_return == trained.curve["mean_return"].max()
     assert trained.policy.training["best_return"] == trained.best_return
     randomisation = trained.policy.randomisation
@@ -83,14 +83,14 @@ def test_a_training_around_a_profile_gives_the_bytes_of_the_command(tmp_path):
             assert policy == Policy.load(file)
 
 
-def test_arguments_of_another_type_are_named():
+def test_wrong_arguments_are_named_in_the_error():
     for wrong in [{"model": 3}, {"preset": 3}, {"simulation": 3}, {"callback": 3}, {"profile": 3}, {"updates": "many"}]:
         (name,) = wrong
         with pytest.raises(qube_hil.SettingsError, match=name):
             qube_hil.train(**wrong)
     found = qube_hil.Identified({}, "fits", [], 5000 * "x", [], [])
     box = {"safety_box": {"theta_rad": -1.0}}
-    for wrong, told in [
+    for wrong, message in [
         ({"learning_rate": math.nan}, "^learning_rate = nan: give a finite number$"),
         ({"learning_rate": None}, "^learning_rate = None: give a number, 0 to 1$"),
         ({"learning_rate": 2.0}, "^learning_rate = 2: give 0 to 1$"),
@@ -107,10 +107,10 @@ def test_arguments_of_another_type_are_named():
         ({"simulation": {"safety_box": {"theta_rad": 3.0}}}, r"theta_rad = 3: .*at most 2\.3$"),
         ({"simulation": {"safety_box": {"guard": "foresight"}}}, 'guard = "foresight": .*no guard but the box'),
     ]:
-        with pytest.raises(qube_hil.SettingsError, match=told) as refused:
+        with pytest.raises(qube_hil.SettingsError, match=message) as refused:
             qube_hil.train(**wrong)
         assert len(str(refused.value)) < 500
-    for wrong, told in [
+    for wrong, message in [
         ({"recordings": 3}, "recordings = 3"),
         ({"recordings": [3]}, "recordings"),
         ({"recordings": {"tick": np.zeros(9)}}, "^recordings = {'tick'.*give paths of recordings"),
@@ -119,7 +119,7 @@ def test_arguments_of_another_type_are_named():
         ({"recordings": [], "fixed": "R_x"}, '"R_x"'),
         ({"recordings": [], "name": 3}, "name = 3"),
     ]:
-        with pytest.raises(qube_hil.SettingsError, match=told):
+        with pytest.raises(qube_hil.SettingsError, match=message):
             qube_hil.identify(**wrong)
 
 
@@ -147,7 +147,7 @@ def test_an_observation_may_be_a_tensor_with_a_gradient():
     assert policy.act(Tensor()) == policy.act(np.zeros(6))
 
 
-def test_a_training_whose_settings_the_command_knows_gives_its_bytes_too(tmp_path):
+def test_a_training_with_settings_of_the_command_gives_the_bytes_of_the_command(tmp_path):
     file = tmp_path / "quiet.safetensors"
     program("train", "--preset", "quick", "--model", "nominal", "--seed", 3, "--voltage-change-weight", 0.1, "--out", file)
     trained = qube_hil.train("nominal", seed=3, voltage_change_weight=0.1)
@@ -192,7 +192,7 @@ def test_a_policy_is_pickled_copied_and_shared_by_threads(swing_up):
     assert all((actions == expected).all() for actions_of_one in results for actions in actions_of_one)
 
 
-def test_a_trained_policy_earns_in_the_environment_what_its_training_says():
+def test_a_trained_policy_has_in_the_environment_the_return_that_its_training_reports():
     trained = qube_hil.train(seed=1)
     env = QubeVectorEnv(100)
     observations, _ = env.reset(seed=11)
@@ -264,19 +264,20 @@ def test_a_training_goes_on_from_a_policy_as_the_command_does(tmp_path):
     observations = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 6)).astype(np.float32)
     assert (command.act(observations) == further.policy.act(observations)).all()
     assert further.policy.training["model"] == "handcrafted from a policy"
-    # At a learning rate of almost 0 the result is the policy of the start, which has learnt more than `first`.
+    # At a learning rate of almost 0 the result is the initial policy, whose return is higher than the return of
+    # `first`.
     still = qube_hil.train("handcrafted", initial=further.policy, seed=3, updates=1, learning_rate=1e-9)
     assert still.best_return > first.best_return
-    for wrong, told in [
+    for wrong, message in [
         (Policy.from_layers([(np.ones((4, 6)), None), (np.ones((1, 4)), None)], action_scale_v=5.0), "starts from"),
         (qube_hil.train("robust", **SMALL).policy, "starts from"),
     ]:
-        with pytest.raises(qube_hil.PolicyError, match=told):
+        with pytest.raises(qube_hil.PolicyError, match=message):
             qube_hil.train(initial=wrong, **SMALL)
 
 
 def a_fit_runs():
-    """Whether a thread of this process is at a fit."""
+    """Returns whether a thread of this process computes a fit."""
     for thread in Path("/proc/self/task").iterdir():
         try:
             if (thread / "comm").read_text() == "identify\n":
@@ -324,7 +325,7 @@ def test_a_policy_is_saved_and_read(tmp_path):
     assert np.abs(policy.act(1e3 * observations)).max() <= 1.0
 
 
-def test_a_policy_replaces_files_alone(tmp_path):
+def test_saving_a_policy_replaces_nothing_but_files(tmp_path):
     policy = qube_hil.train(**SMALL).policy
     pipe, folder, link = tmp_path / "pipe", tmp_path / "folder", tmp_path / "link"
     os.mkfifo(pipe)
@@ -349,7 +350,7 @@ def test_a_policy_replaces_files_alone(tmp_path):
     assert ledger.read_text() == "{}\n"
 
 
-def test_paths_of_another_type_are_named(tmp_path):
+def test_paths_of_a_wrong_type_are_named_in_the_error(tmp_path):
     policy = qube_hil.train(**SMALL).policy
     for wrong in [b"x", None, 1]:
         for name, call in [
@@ -366,7 +367,7 @@ def test_paths_of_another_type_are_named(tmp_path):
         policy.save(tmp_path / "p.safetensors", force="yes")
 
 
-def test_a_bad_policy_or_observation_is_named(tmp_path):
+def test_a_bad_policy_or_observation_is_refused(tmp_path):
     with pytest.raises(qube_hil.PolicyError, match="missing"):
         Policy.load(tmp_path / "missing")
     with pytest.raises(qube_hil.PolicyError, match="safetensors"):
@@ -391,7 +392,7 @@ def test_the_classical_controller_swings_up_a_simulated_qube(swing_up):
     assert total > 400.0
 
 
-def test_a_classical_controller_remembers_one_qube_until_it_starts_again(swing_up):
+def test_a_classical_controller_keeps_the_state_of_one_qube_until_start_is_called(swing_up):
     policy = qube_hil.recording(swing_up).policy
 
     def at(from_upright):
@@ -454,7 +455,7 @@ def test_a_qube_is_identified_from_its_recordings(tmp_path):
         qube_hil.identify(tmp_path / "missing.mcap")
 
 
-def test_a_table_names_phases_by_numbers_or_names_and_others_are_refused_with_their_line(tmp_path):
+def test_a_table_has_phases_as_numbers_or_names_and_the_refusal_of_another_value_gives_its_line(tmp_path):
     program("run", "--clock", "virtual", "--excite", "chirp", "--profile", "lab", "--out", tmp_path / "chirp")
     program("export", tmp_path / "chirp" / "rollout-0.mcap", "--out", tmp_path)
     exported = pandas.read_csv(tmp_path / "rollout-0.csv")
@@ -469,7 +470,7 @@ def test_a_table_names_phases_by_numbers_or_names_and_others_are_refused_with_th
     # Recording, export and table have the same motion.
     read = identified(pandas.DataFrame(qube_hil.recording(tmp_path / "chirp" / "rollout-0.mcap")))
     assert read.estimates == values == qube_hil.identify(tmp_path / "chirp" / "rollout-0.mcap").estimates
-    for column, value, told in [
+    for column, value, message in [
         ("phase", "abc", "line 302: `abc` in column `phase` is no phase: give 0 or settling, 1 or running"),
         ("phase", "7", "line 302: `7` in column `phase`"),
         ("voltage_v", "1e300", "line 302: `1e300` in column `voltage_v` is no voltage that"),
@@ -477,5 +478,5 @@ def test_a_table_names_phases_by_numbers_or_names_and_others_are_refused_with_th
     ]:
         wrong = exported.astype({column: object})
         wrong.loc[300, column] = value
-        with pytest.raises(qube_hil.IdentificationError, match=told):
+        with pytest.raises(qube_hil.IdentificationError, match=message):
             identified(wrong)

@@ -1,4 +1,4 @@
-"""The notebooks, each run from top to bottom, in a copy of its own folder and in the root of a clone."""
+"""Runs each notebook from top to bottom, once in a copy of its own folder and once in the root of a clone."""
 
 import nbformat
 import pytest

@@ -1,4 +1,4 @@
-"""ONNX: models that the program exports, in onnxruntime, and back."""
+"""Tests of ONNX models: exported by the program, computed by onnxruntime, and imported again."""
 
 import json
 import re
@@ -15,7 +15,7 @@ RANDOM = np.random.default_rng(18)
 
 
 def layers(inputs, hidden=(64, 64), scale=1.0):
-    """Random layers whose outputs are of the order of 1."""
+    """Returns random layers whose outputs are of the order of 1."""
     sizes = [inputs, *hidden, 1]
     return [
         (scale * RANDOM.normal(size=(after, before)) / before**0.5, 0.1 * RANDOM.normal(size=after))
@@ -44,7 +44,7 @@ POLICIES = {
 
 
 def observations(size, count=20_000):
-    """Random observations like those of an episode, some of them of fast arms and pendulums."""
+    """Returns random observations in the range of an episode, some of them of fast arms and pendulums."""
     theta, alpha = RANDOM.uniform(-2.0, 2.0, count), RANDOM.uniform(-7.0, 7.0, count)
     velocities = RANDOM.normal(scale=[[1.5], [1.0]], size=(2, count))
     commands = RANDOM.uniform(-1.0, 1.0, (size - 6, count))
@@ -53,7 +53,7 @@ def observations(size, count=20_000):
 
 
 @pytest.mark.parametrize("name", POLICIES)
-def test_an_exported_policy_gives_its_voltages_in_onnxruntime_and_comes_back_as_it_was(name, tmp_path):
+def test_an_exported_policy_gives_the_same_voltages_in_onnxruntime_and_is_imported_unchanged(name, tmp_path):
     policy = POLICIES[name]()
     policy.save(tmp_path / "p.safetensors")
     program("export", "--onnx", tmp_path / "p.safetensors")
@@ -64,8 +64,8 @@ def test_an_exported_policy_gives_its_voltages_in_onnxruntime_and_comes_back_as_
     seen = observations(policy.observation_size)
     (voltages,) = session.run(["voltage_v"], {"observation": seen})
     assert voltages.shape == (len(seen), 1)
-    # Full scale is -5 to 5 V. Both programs round to single precision at each layer, so that for one observation in some
-    # ten thousand the voltages differ by more than a millionth of full scale.
+    # Full scale is -5 to 5 V. Both programs round to single precision at each layer, so that for one observation in
+    # about ten thousand the voltages differ by more than a millionth of full scale.
     differences = np.abs(voltages - policy.voltage_v(seen)) / 10.0
     assert np.quantile(differences[np.abs(voltages) < 5.0], 0.999) <= 1e-6
     assert differences.max() <= 2e-6
@@ -76,15 +76,15 @@ def test_an_exported_policy_gives_its_voltages_in_onnxruntime_and_comes_back_as_
     assert (tmp_path / "again.safetensors").read_bytes() == (tmp_path / "p.safetensors").read_bytes()
 
 
-def test_the_file_says_what_the_graph_is_and_what_it_is_not(tmp_path):
+def test_the_file_describes_the_graph_and_names_the_computations_outside_of_it(tmp_path):
     policy = POLICIES["elu, another filter"]()
     model = policy.to_onnx()
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
     entries = session.get_modelmeta().custom_metadata_map
     assert session.get_modelmeta().producer_name == "qube-hil"
-    told = entries["qube_hil.graph"]
+    description = entries["qube_hil.graph"]
     for missing in ["filter", "sines", "last commands", "guard", "1 mV", "10 ms"]:
-        assert missing in told.split("does not contain")[1], missing
+        assert missing in description.split("does not contain")[1], missing
     named = json.loads(entries["qube_hil.policy"])["controller"]
     assert named["sizes"] == [6, 256, 128, 1] and named["activation"] == "elu"
     assert named["conventions"]["period_s"] == 0.01
@@ -94,7 +94,7 @@ def test_the_file_says_what_the_graph_is_and_what_it_is_not(tmp_path):
     assert re.search(rb"B\x04\n\x00\x10\x11", model)
 
 
-def test_a_refused_export_or_import_is_named(tmp_path):
+def test_wrong_exports_and_imports_are_refused(tmp_path):
     nominal = Policy.load(SHIPPED / "nominal.safetensors")
     nominal.save(tmp_path / "p.safetensors")
     program("export", "--onnx", tmp_path / "p.safetensors")
@@ -115,8 +115,8 @@ def test_a_refused_export_or_import_is_named(tmp_path):
             Policy.from_onnx(tmp_path / "p.onnx", **named)
     cut = tmp_path / "cut.onnx"
     cut.write_bytes((tmp_path / "p.onnx").read_bytes()[:-100])
-    for path, told in [(cut, "or is damaged"), (tmp_path / "missing.onnx", "missing.onnx")]:
-        with pytest.raises(qube_hil.PolicyError, match=told):
+    for path, message in [(cut, "or is damaged"), (tmp_path / "missing.onnx", "missing.onnx")]:
+        with pytest.raises(qube_hil.PolicyError, match=message):
             Policy.from_onnx(path)
 
 

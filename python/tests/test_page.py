@@ -1,4 +1,4 @@
-"""The examples of docs/python.md, run from top to bottom."""
+"""Runs the examples of docs/python.md from top to bottom."""
 
 import mypy.api
 from conftest import SHIPPED, beside

@@ -1,5 +1,5 @@
-"""The simulation in the interface of Stable-Baselines3, whose base class is replaced here by one with the same methods.
-`scripts/python-sb3` trains with the real one."""
+"""Tests of the simulation in the interface of Stable-Baselines3, whose base class is replaced here by one with the same
+methods. `scripts/python-sb3` trains with the real base class."""
 
 import importlib
 import sys

@@ -1,4 +1,4 @@
-"""The environments over the simulation."""
+"""Tests of the environments that wrap the simulation."""
 
 import copy
 import json
@@ -17,12 +17,13 @@ from qube_hil import Normal, QubeEnv, QubeVectorEnv, Uniform
 
 
 def pushing(observations):
-    """A deterministic policy that carries some arms out of the box and holds others."""
+    """Returns the actions of a deterministic policy that moves some arms out of the box and holds others."""
     return np.float32(0.6) * np.sign(observations[:, :1]) - np.float32(0.2) * observations[:, 4:5]
 
 
 def episodes(num_envs, steps, **settings):
-    """Returns, lengths and last observations of the episodes that end within these steps, by number."""
+    """Returns, by number, the return, length, termination and last observation of each episode that ends within these
+    steps."""
     env = QubeVectorEnv(num_envs, **settings)
     observations, info = env.reset(seed=7)
     numbers = info["episode_number"]
@@ -46,7 +47,7 @@ def episodes(num_envs, steps, **settings):
 
 
 @pytest.mark.parametrize("model, settings", [("handcrafted", "thesis"), ("robust", "robust")])
-def test_the_same_seed_gives_the_same_episodes_whatever_the_number_of_qubes(model, settings):
+def test_the_same_seed_gives_the_same_episodes_for_any_number_of_qubes(model, settings):
     few = episodes(3, 1300, model=model, settings=settings)
     many = episodes(37, 700, model=model, settings=settings)
     common = few.keys() & many.keys()
@@ -54,7 +55,7 @@ def test_the_same_seed_gives_the_same_episodes_whatever_the_number_of_qubes(mode
     assert all(few[number] == many[number] for number in common)
 
 
-def test_one_qube_alone_goes_as_it_does_among_others():
+def test_one_qube_alone_moves_as_it_does_among_others():
     env, single = QubeVectorEnv(5, model="robust"), QubeEnv(model="robust")
     observations, _ = env.reset(seed=3)
     alone, info = single.reset(seed=3)
@@ -71,7 +72,7 @@ def test_one_qube_alone_goes_as_it_does_among_others():
     assert left
 
 
-def test_gymnasium_finds_nothing_wrong():
+def test_the_checks_of_gymnasium_pass():
     with warnings.catch_warnings():
         # Velocities have no bounds.
         warnings.filterwarnings("ignore", message=".*Box observation space.*")
@@ -88,7 +89,7 @@ def test_gymnasium_finds_nothing_wrong():
     assert ended == [600] * 4
 
 
-def test_an_episode_that_leaves_the_box_is_terminated_and_one_that_is_over_truncated():
+def test_an_episode_that_leaves_the_box_is_terminated_and_one_of_600_steps_is_truncated():
     env = QubeEnv()
     env.reset(seed=0)
     steps = [env.step(np.ones(1, np.float32)) for _ in range(20)]
@@ -105,7 +106,7 @@ def test_an_episode_that_leaves_the_box_is_terminated_and_one_that_is_over_trunc
     assert sum(step[1] for step in idle) < 1.0
 
 
-def test_foresight_ends_episodes_before_the_box_does_and_leaves_calm_ones_alone():
+def test_foresight_ends_episodes_before_the_box_does_and_does_not_change_calm_ones():
     def driven(guard, action):
         envs = QubeVectorEnv(8, model="robust", settings="robust", guard=guard)
         observations, _ = envs.reset(seed=4)
@@ -146,7 +147,7 @@ def test_foresight_guards_one_qube_as_it_does_many():
     assert terminated
 
 
-def test_seeds_name_episodes_and_without_one_they_go_on():
+def test_a_seed_determines_the_episode_and_a_reset_without_a_seed_begins_the_next_one():
     env = QubeEnv(seed=5)
     first, info = env.reset()
     second, info = env.reset()
@@ -158,7 +159,7 @@ def test_seeds_name_episodes_and_without_one_they_go_on():
     assert (other != first).any()
 
 
-def test_distributions_replace_those_of_the_model():
+def test_given_distributions_replace_distributions_of_the_model():
     env = QubeVectorEnv(
         16,
         model="robust",
@@ -264,7 +265,7 @@ def test_a_number_that_is_too_large_for_single_precision_is_clipped():
         env.step([[0.0], [1.0, 2.0]])
 
 
-def test_arrays_are_written_over_where_the_caller_wants_no_copies():
+def test_without_copies_each_step_overwrites_the_returned_arrays():
     env = QubeVectorEnv(4, copy=False)
     first, _ = env.reset(seed=0)
     second, *_ = env.step(np.ones((4, 1), np.float32))
@@ -277,7 +278,7 @@ def test_arrays_are_written_over_where_the_caller_wants_no_copies():
 
 
 @pytest.mark.parametrize(
-    "action, told",
+    "action, message",
     [
         (np.array([np.nan], np.float32), "finite"),
         (np.array([np.inf]), "finite"),
@@ -290,11 +291,11 @@ def test_arrays_are_written_over_where_the_caller_wants_no_copies():
         (None, "type"),
     ],
 )
-def test_an_invalid_action_is_refused_and_moves_nothing(action, told):
+def test_an_invalid_action_is_refused_and_moves_nothing(action, message):
     env = QubeEnv()
     env.reset(seed=0)
     before = env.state
-    alone = "the action is not a finite" if told == "finite" else told
+    alone = "the action is not a finite" if message == "finite" else message
     with pytest.raises(qube_hil.ActionError, match=alone):
         env.step(action)
     assert (env.state == before).all()
@@ -302,8 +303,8 @@ def test_an_invalid_action_is_refused_and_moves_nothing(action, told):
     env.reset(seed=0)
     before = env.states
     actions = None if action is None else np.stack([np.zeros_like(action), action, action])
-    told = "environment 1 is not a finite" if told == "finite" else told
-    with pytest.raises(qube_hil.ActionError, match=told):
+    message = "environment 1 is not a finite" if message == "finite" else message
+    with pytest.raises(qube_hil.ActionError, match=message):
         env.step(actions)
     assert (env.states == before).all()
 
@@ -313,7 +314,7 @@ REWARD = {"theta": 0.2, "alpha": 1.0, "theta_dot": 0.02, "alpha_dot": 0.005, "vo
 
 
 @pytest.mark.parametrize(
-    "settings, told",
+    "settings, message",
     [
         ({"num_envs": 0}, "num_envs"),
         ({"num_envs": -1}, "num_envs = -1"),
@@ -382,8 +383,8 @@ REWARD = {"theta": 0.2, "alpha": 1.0, "theta_dot": 0.02, "alpha_dot": 0.005, "vo
         ({"render_mode": "human"}, "render_mode"),
     ],
 )
-def test_impossible_settings_are_named(settings, told):
-    with pytest.raises(qube_hil.SettingsError, match=told):
+def test_impossible_settings_are_named_in_the_error(settings, message):
+    with pytest.raises(qube_hil.SettingsError, match=message):
         QubeVectorEnv(**settings)
     with pytest.raises(ValueError):
         QubeVectorEnv(**settings)
@@ -401,7 +402,7 @@ def test_nothing_moves_before_a_reset():
 
 
 @pytest.mark.parametrize(
-    "kind, numbers, told",
+    "kind, numbers, message",
     [
         (qube_hil.Constant, ("x",), "value = 'x'.*number"),
         (qube_hil.Constant, (float("nan"),), "value = nan: give a finite number"),
@@ -413,8 +414,8 @@ def test_nothing_moves_before_a_reset():
         (Uniform, (2.0, 1.0), "smaller"),
     ],
 )
-def test_impossible_numbers_of_a_distribution_are_refused_where_it_is_made(kind, numbers, told):
-    with pytest.raises(qube_hil.SettingsError, match=told):
+def test_a_distribution_with_impossible_numbers_cannot_be_made(kind, numbers, message):
+    with pytest.raises(qube_hil.SettingsError, match=message):
         kind(*numbers)
 
 
@@ -443,11 +444,11 @@ def test_qubes_around_a_profile_differ_by_its_errors_with_their_correlations():
     env.reset(seed=1)
     drawn = [env.qube(number) for number in range(4000)]
 
-    def deviation(one, other):
+    def covariance(one, other):
         return sum(direction.get(one, 0.0) * direction.get(other, 0.0) for direction in directions)
 
     one, other = "R_m", "k_m"
-    expected = deviation(one, other) / np.sqrt(deviation(one, one) * deviation(other, other))
+    expected = covariance(one, other) / np.sqrt(covariance(one, one) * covariance(other, other))
     assert abs(expected) > 0.2
     found = np.corrcoef([qube[one] for qube in drawn], [qube[other] for qube in drawn])[0, 1]
     assert abs(found - expected) < 0.05
@@ -489,7 +490,7 @@ def test_there_is_no_state_before_a_reset():
     one.reset(seed=1)
     many.reset(seed=1)
     assert (one.state == many.states[0]).all() and np.abs(one.state[:2]).max() > 0.0
-    # The last state can be read after the end.
+    # The last state can be read after the environment is closed.
     many.close()
     assert many.states.shape == (2, 4)
 

@@ -18,7 +18,7 @@ const SIZE: (f64, f64) = (640.0, 300.0);
 const CENTRE: (f64, f64) = (150.0, 150.0);
 
 /// Place of the diagram of the angles: left, top, width, height, pixels.
-const FRAME: (f64, f64, f64, f64) = (345.0, 44.0, 275.0, 200.0);
+const DIAGRAM: (f64, f64, f64, f64) = (345.0, 44.0, 275.0, 200.0);
 
 /// Length on the screen of the longer of arm and pendulum, pixels.
 const REACH: f64 = 100.0;
@@ -48,7 +48,7 @@ pub fn animation_svg(title: &str, log: &MotionLog) -> String {
     svg
 }
 
-/// The state at each frame: the state of the last sample up to the frame's time.
+/// Returns the state at each frame: the state of the last sample up to the frame's time.
 fn frames(log: &MotionLog) -> Vec<State> {
     let samples = &log.samples;
     let start_s = samples.first().map_or(0.0, |sample| sample.time_s);
@@ -67,8 +67,8 @@ fn frames(log: &MotionLog) -> Vec<State> {
         .collect()
 }
 
-/// Time from the first frame to the last, s, over which a browser spreads all values evenly; with a
-/// single frame the time of one frame.
+/// Returns the time from the first frame to the last, s, over which a browser spreads all values
+/// evenly; with a single frame the time of one frame.
 fn duration_s(frames: &[State]) -> f64 {
     (frames.len().max(2) - 1) as f64 / FRAMES_PER_S
 }
@@ -121,7 +121,7 @@ fn draw_pendulum(svg: &mut String, log: &MotionLog, frames: &[State], duration_s
 }
 
 fn draw_angles(svg: &mut String, frames: &[State], duration_s: f64) {
-    let (left, top, width, height) = FRAME;
+    let (left, top, width, height) = DIAGRAM;
     let angles = || frames.iter().flat_map(|state| [state.theta, state.alpha]);
     let low = angles().fold(-0.5, f64::min);
     let high = angles().fold(0.5, f64::max);
@@ -178,7 +178,7 @@ fn draw_angles(svg: &mut String, frames: &[State], duration_s: f64) {
     );
 }
 
-/// The SVG element that moves the attribute `name` through these values in `duration_s` and
+/// Returns the SVG element that moves the attribute `name` through these values in `duration_s` and
 /// repeats.
 fn animated(name: &str, values: impl Iterator<Item = f64>, duration_s: f64) -> String {
     let values: Vec<String> = values.map(|value| format!("{value:.1}")).collect();
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_swing_up_is_a_small_picture_that_runs_in_its_own_time() {
+    fn a_swing_up_of_6_s_is_a_small_picture_that_repeats_every_6_s() {
         let svg = animation_svg("a < b", &log(6.0));
         assert!(svg.starts_with("<svg") && svg.contains("a &lt; b"));
         assert!(svg.len() < 40_000, "{}", svg.len());

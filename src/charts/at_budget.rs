@@ -38,7 +38,7 @@ pub fn at_budget_svg(title: &str, shares: &[ShareOfPlant]) -> Result<String, Dra
     Ok(svg)
 }
 
-/// The distinct values, in the order of their first appearance.
+/// Returns the distinct values, in the order of their first appearance.
 pub(super) fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
     let mut distinct = Vec::new();
     for value in values {
@@ -142,7 +142,7 @@ mod tests {
         let svg = at_budget_svg("success by plant", &methods).unwrap();
         assert_eq!(svg.matches("<circle").count(), 4);
         assert!(svg.contains("viewBox=\"0 0 1000 "), "{svg}");
-        // A long name has a wider column, so that it is not drawn across the first panel.
+        // A long name has a wider column, so that it is not drawn across the panel.
         let svg = at_budget_svg("long", &[share("mine-2026+gap1.5+vary5%", "robust")]).unwrap();
         assert!(svg.contains("viewBox=\"0 0 1111 "), "{svg}");
     }

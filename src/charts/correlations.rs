@@ -10,11 +10,11 @@ const SQUARE: usize = 40;
 /// Width of the names to the left of the squares, pixels.
 const NAMES: usize = 250;
 
-/// Style of the numbers in a file: clearer than its other texts, because squares lie behind them.
+/// Style of the numbers in a file: black or white, because coloured squares lie behind them.
 const ENTRIES: &str = ".entry{text-anchor:middle;fill:#000}\
      @media(prefers-color-scheme:dark){.entry{fill:#fff}}";
 
-/// Room around the squares and their names in a file, pixels.
+/// Margin around the squares and their names in a file, pixels.
 const MARGIN: usize = 12;
 
 /// Draws the correlations of a fit's errors as the SVG of a file. Its colours are light or dark as
@@ -45,14 +45,14 @@ pub fn correlations_element(names: &[String], entry: impl Fn(usize, usize) -> f6
     )
 }
 
-/// Width and height of the drawing for this many quantities, pixels.
+/// Returns the width and height of the drawing for this many quantities, pixels.
 fn size(quantities: usize) -> (usize, usize) {
     (NAMES + SQUARE * quantities, SQUARE * (quantities + 1))
 }
 
-/// A square with its number for each pair of quantities, blue for a positive correlation, vermilion
-/// for a negative one, and deeper the nearer it is to 1 or -1; with the numbered names to the left,
-/// and the numbers below.
+/// Draws a square with its correlation for each pair of quantities, blue for a positive one,
+/// vermilion for a negative one, and deeper the nearer it is to 1 or -1; with the numbered names to
+/// the left, and their numbers below.
 fn squares(names: &[String], entry: impl Fn(usize, usize) -> f64) -> String {
     let mut svg = String::new();
     for (row, name) in names.iter().enumerate() {
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_pair_has_its_number_and_opposite_signs_other_colours() {
+    fn each_pair_has_its_number_and_opposite_signs_have_different_colours() {
         let names = ["R_m", "<k_m>", "M_r"].map(String::from).to_vec();
         let rows = vec![vec![1.0], vec![-0.94, 1.0], vec![0.5, 0.0, 1.0]];
         let file = correlations_svg(&Correlations { names: names.clone(), rows: rows.clone() });

@@ -6,7 +6,7 @@ use super::{DrawingError, PlotError};
 /// A step line of the figure, with its name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepLine {
-    /// Name beside the figure.
+    /// Name beside the panel.
     pub name: String,
     /// Corners of the line: number of real rollouts, and share of the repetitions, 0 to 1.
     pub corners: Vec<(f64, f64)>,
@@ -56,7 +56,7 @@ fn draw(svg: &mut String, title: &str, steps: &[StepLine], last: f64) -> Result<
     let root = SVGBackend::with_string(svg, (width, height + NOTE)).into_drawing_area();
     root.fill(&WHITE)?;
     let (root, note) = root.split_vertically(height);
-    let words = "Lines are drawn a little apart, so that equal ones can be told apart. A line that ends below 1 has repetitions that never succeeded.";
+    let words = "Lines are drawn a little apart, so that equal lines do not hide each other. A line that ends below 1 has repetitions that never succeeded.";
     note.draw(&Text::new(words, (60, 2), (FONT, TEXT - 2).into_font().color(&INK)))?;
     // The names have a column of their own, because the lines end at any height.
     let (lines, column) = root.split_horizontally(PANEL);
@@ -119,13 +119,14 @@ mod tests {
     }
 
     #[test]
-    fn the_figure_has_room_for_long_names_and_many_lines() {
+    fn the_figure_grows_with_long_names_and_many_lines() {
         let line = |name: &str| StepLine { name: name.into(), corners: vec![(1.0, 0.0)] };
         let few = methods_svg("few", &[line("cem")], 125.0).unwrap();
         assert!(few.contains("viewBox=\"0 0 1000 500\""), "{few}");
         let lines = vec![line("identify-mean"); 20];
         let many = methods_svg("many", &lines, 125.0).unwrap();
-        // The longest name is `identify-mean: never`, and the twentieth stands at 60 + 24 * 19.
+        // The longest name is `identify-mean: never`, and the twentieth is 60 + 24 * 19 pixels from
+        // the top.
         assert!(many.contains("viewBox=\"0 0 1088 564\""), "{many}");
     }
 }

@@ -38,7 +38,8 @@ use thiserror::Error;
 type Panel<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type PlotError = DrawingAreaErrorKind<std::io::Error>;
 
-/// The largest value up to and including each one; a NaN is no value.
+/// Returns, for each value, the largest number up to and including it; NaN is ignored, and without
+/// a number the result is minus infinity.
 fn best_so_far(values: &[f64]) -> Vec<f64> {
     let mut best = f64::NEG_INFINITY;
     let best_with = |value: &f64| {
@@ -48,7 +49,7 @@ fn best_so_far(values: &[f64]) -> Vec<f64> {
     values.iter().map(best_with).collect()
 }
 
-/// A text as SVG contains it.
+/// Escapes the characters that have a meaning in the texts of an SVG.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

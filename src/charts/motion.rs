@@ -63,7 +63,7 @@ fn draw(
     root.present()
 }
 
-/// The colour, mixed with white.
+/// Mixes a colour with white.
 fn pale(colour: RGBColor) -> RGBColor {
     let mix = |part: u8| (0.45 * f64::from(part) + 0.55 * 255.0) as u8;
     RGBColor(mix(colour.0), mix(colour.1), mix(colour.2))

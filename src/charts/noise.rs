@@ -4,7 +4,7 @@ use super::style::{BLUE, FAINT, FONT, INK, TEXT, TITLE};
 use super::{DrawingError, Panel, PlotError};
 use crate::search::benchmark::VariantResult;
 
-/// Width left of each panel for the names of the variants, pixels.
+/// Width of the column with the variants' names in each panel, pixels.
 const NAMES: u32 = 330;
 
 /// Draws one panel for each problem. A problem is given by its name and the results of the search

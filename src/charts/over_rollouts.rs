@@ -13,13 +13,12 @@ const WIDTH: u32 = 250;
 const HEIGHT: u32 = 210;
 /// Height of title, key and the words below the panels together, pixels.
 const AROUND: u32 = 100;
-/// Share of the distance between two budgets over which the points of one budget stand side
-/// by side.
+/// Share of the distance between two budgets over which the points of one budget lie side by side.
 const SPREAD: f64 = 0.6;
 
 /// Draws the share of repetitions that succeed over the real rollouts, with its interval: a panel
 /// for each plant with a line for each method, or, with more methods than plants, a panel for each
-/// method with a line for each plant. The budgets stand at equal distances.
+/// method with a line for each plant. The budgets have equal distances.
 ///
 /// # Errors
 /// The drawing library failed.

@@ -8,7 +8,7 @@ use crate::search::benchmark::{Quartiles, RegretCurve};
 /// Smallest regret that is drawn; a smaller one, such as 0, is drawn at this value.
 const FLOOR: f64 = 1e-6;
 
-/// The colour of a strategy.
+/// Returns the colour of a strategy.
 fn colour(strategy: StrategyKind) -> RGBColor {
     match strategy {
         StrategyKind::BayRn => style::colour(0),
@@ -22,13 +22,14 @@ fn colour(strategy: StrategyKind) -> RGBColor {
 /// Draws one panel for each objective: for each strategy the median of the simple regret after each
 /// evaluation, with a band from the lower to the upper quartile, on a logarithmic axis. The curves
 /// of one objective follow one another in `curves`, and all curves have the same number of
-/// repetitions. BayRn's curve lies on top, because its initial points are those of the random
-/// search.
+/// repetitions. BayRn's curve lies on top, because BayRn's initial points are also the random
+/// search's.
 ///
 /// # Errors
 /// The drawing library failed.
 pub fn regret_svg(curves: &[RegretCurve]) -> Result<String, DrawingError> {
-    let panels: Vec<&[RegretCurve]> = curves.chunk_by(|a, b| a.objective == b.objective).collect();
+    let panels: Vec<&[RegretCurve]> =
+        curves.chunk_by(|one, next| one.objective == next.objective).collect();
     let rows = panels.len().div_ceil(3).max(1);
     let mut svg = String::new();
     {
@@ -57,7 +58,7 @@ fn draw_panel(curves: &[RegretCurve], area: &Panel<'_>) -> Result<(), PlotError>
         return Ok(());
     };
     let seen = |pick: fn(&Quartiles) -> f64| {
-        curves.iter().flat_map(|c| &c.regret).map(pick).map(|r| r.max(FLOOR))
+        curves.iter().flat_map(|curve| &curve.regret).map(pick).map(|regret| regret.max(FLOOR))
     };
     let lowest = seen(|q| q.lower).fold(f64::INFINITY, f64::min);
     let highest = seen(|q| q.upper).fold(FLOOR, f64::max);

@@ -90,7 +90,7 @@ fn search_panel(
     Ok(())
 }
 
-/// The mean of a candidate's returns; NaN without any.
+/// Returns the mean of a candidate's returns; NaN if there are none.
 fn mean(returns: &[f64]) -> f64 {
     returns.iter().sum::<f64>() / returns.len() as f64
 }

@@ -10,13 +10,13 @@ use super::{Panel, PlotError};
 pub const INK: RGBColor = RGBColor(40, 44, 52);
 /// Light grey: grids and background lines.
 pub const FAINT: RGBColor = RGBColor(215, 219, 224);
-/// Blue: recorded or measured quantities.
+/// Blue: recorded or measured quantities, or means.
 pub const BLUE: RGBColor = RGBColor(0, 114, 178);
-/// Vermilion: simulated quantities, or points that a search chose.
+/// Vermilion: simulated quantities, or a chosen point.
 pub const VERMILION: RGBColor = RGBColor(213, 94, 0);
-/// Green: sent voltages, or the best so far.
+/// Green: sent voltages, the best so far, or acquisition functions.
 pub const GREEN: RGBColor = RGBColor(0, 158, 115);
-/// Red: limits.
+/// Red: limits, also the return of a success.
 pub const LIMIT: RGBColor = RGBColor(138, 28, 28);
 
 /// Colours of lines without a meaning of their own, in the order of the lines' indices.
@@ -69,20 +69,20 @@ pub const TITLE: u32 = 18;
 /// Width of a line, pixels.
 pub const LINE: u32 = 2;
 
-/// Estimated width of the widest of these texts at the size [`TEXT`], pixels.
+/// Returns the estimated width of the widest of these texts at the size [`TEXT`], pixels.
 pub fn widest<'a>(texts: impl IntoIterator<Item = &'a str>) -> u32 {
     let letters = texts.into_iter().map(|text| text.chars().count() as u32);
     LETTER * letters.max().unwrap_or(0)
 }
 
-/// The colour of the line with this index; after seven lines the colours repeat.
+/// Returns the colour of the line with this index; after seven lines the colours repeat.
 pub fn colour(index: usize) -> RGBColor {
     PALETTE[index % PALETTE.len()]
 }
 
-/// The style sheet of a picture in a page, light or dark as the reader's system is. Its classes
-/// are: `p` the ground, `g` a grid, `a` a grey line, `b` a blue and `t` a vermilion line, `d` and
-/// `dt` areas and texts in blue and in vermilion.
+/// Returns the style sheet of a picture in a page, light or dark as the reader's system is. Its
+/// classes are: `p` the ground, `g` a grid, `a` a grey line, `b` a blue and `t` a vermilion line,
+/// `d` and `dt` areas and texts in blue and in vermilion.
 pub fn page_style() -> String {
     let PageColours { text, grid, ground, blue, vermilion } = LIGHT_PAGE;
     let [text, grid, ground, blue, vermilion] = [text, grid, ground, blue, vermilion].map(css);
@@ -100,7 +100,7 @@ pub fn page_style() -> String {
     format!("{light}@media(prefers-color-scheme:dark){{{dark}}}")
 }
 
-/// A colour as style sheets write it.
+/// Returns a colour in the notation of style sheets.
 fn css(RGBColor(red, green, blue): RGBColor) -> String {
     match (red, green, blue) {
         (0xff, 0xff, 0xff) => "#fff".to_owned(),

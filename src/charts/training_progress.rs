@@ -35,7 +35,7 @@ fn draw(svg: &mut String, models: &[(String, Vec<Vec<f64>>)]) -> Result<(), Plot
     root.present()
 }
 
-/// Colour of the lines of single trainings, between that of the grid and that of the axes.
+/// Colour of the lines of single trainings, between the colours of the grid and the axes.
 const GREY: RGBColor = RGBColor(160, 168, 178);
 
 fn panel(
@@ -76,7 +76,8 @@ fn panel(
     Ok(())
 }
 
-/// The mean return of all trainings after each update, up to the last update of the shortest.
+/// Returns the mean return of all trainings after each update, up to the last update of the
+/// shortest.
 fn mean_by_update(trainings: &[Vec<f64>]) -> Vec<f64> {
     let updates = trainings.iter().map(Vec::len).min().unwrap_or(0);
     let mean =
@@ -89,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_best_so_far_never_falls_and_the_mean_ends_with_the_shortest() {
+    fn the_best_so_far_never_falls_and_the_mean_ends_with_the_shortest_training() {
         assert_eq!(best_so_far(&[3.0, 1.0, 5.0, 4.0]), [3.0, 3.0, 5.0, 5.0]);
         assert_eq!(mean_by_update(&[vec![1.0, 3.0, 9.0], vec![3.0, 5.0]]), [2.0, 4.0]);
         assert!(mean_by_update(&[]).is_empty());

@@ -34,7 +34,7 @@ impl AwakeProcessors {
 pub(crate) mod tests {
     use super::*;
 
-    /// Number of descriptors that this process has open on a file.
+    /// Returns the number of descriptors that this process has open on a file.
     pub(crate) fn openings_of(file: &Path) -> usize {
         let descriptors = std::fs::read_dir("/proc/self/fd").unwrap().flatten();
         descriptors

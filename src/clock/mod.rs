@@ -33,7 +33,7 @@ pub type Nanoseconds = u64;
 /// A source of time that a thread can also wait on. Every function of the control loop that waits
 /// takes a clock.
 pub trait Clock: Send + Sync {
-    /// The present time, which never goes backwards.
+    /// Returns the present time, which never goes backwards.
     fn now_ns(&self) -> Nanoseconds;
 
     /// Returns at `deadline_ns` or as soon afterwards as the scheduler allows; at once if the

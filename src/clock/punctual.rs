@@ -19,7 +19,7 @@ pub struct PunctualClock {
 }
 
 impl PunctualClock {
-    /// A clock for this computer.
+    /// Makes a clock for this computer.
     #[must_use]
     pub fn new() -> Self {
         let processors = std::thread::available_parallelism().map_or(1, usize::from);
@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_never_returns_before_the_deadline_with_or_without_a_spin() {
+    fn a_wait_never_ends_before_the_deadline_with_or_without_a_spin() {
         for spin_ns in [0, SPIN_NS] {
             let clock = PunctualClock::new().with_spin_ns(spin_ns);
             for wait_ns in [0, 1_000, 50_000, 150_000, 2_000_000] {
@@ -82,7 +82,7 @@ mod tests {
                 clock.sleep_until(deadline_ns);
                 assert!(clock.now_ns() >= deadline_ns);
             }
-            // The deadline has passed, however long ago.
+            // A deadline that has passed long ago needs no wait.
             clock.sleep_until(0);
         }
     }

@@ -33,7 +33,7 @@ pub struct RealtimeRefusals {
 }
 
 impl RealtimeRefusals {
-    /// The refusals, most serious first.
+    /// Returns the refusals, most serious first.
     pub fn refusals(&self) -> impl Iterator<Item = &str> {
         [&self.scheduling, &self.memory, &self.awake, &self.timer_slack]
             .into_iter()
@@ -42,7 +42,7 @@ impl RealtimeRefusals {
 }
 
 /// Puts the calling thread under SCHED_FIFO, locks the process's memory and requests exact timers,
-/// where permitted. Whether the processors can be kept awake is only tested here;
+/// where permitted. It only tests whether the processors can be kept awake;
 /// [`Clock::stay_awake`](super::Clock::stay_awake) keeps them awake while a device is driven.
 #[must_use]
 pub fn enter_realtime() -> RealtimeRefusals {
@@ -63,7 +63,7 @@ pub fn enter_realtime() -> RealtimeRefusals {
     let timer_slack = set_current_timer_slack(Some(TIMER_SLACK_NS)).err().map(|error| {
         format!(
             "the kernel may wake the control thread 0.05 ms late ({error}). With real-time \
-             priority it does not"
+             priority it adds no delay"
         )
     });
     RealtimeRefusals {
@@ -74,7 +74,8 @@ pub fn enter_realtime() -> RealtimeRefusals {
     }
 }
 
-/// The reason why the processors cannot be kept awake through this file; `None` if they can.
+/// Returns the reason why the processors cannot be kept awake through this file; `None` if they
+/// can.
 fn awake_refusal(file: &Path) -> Option<String> {
     let error = AwakeProcessors::hold(file).err()?;
     Some(format!(
@@ -95,7 +96,7 @@ fn lock_memory() -> Result<(), std::io::Error> {
 
 /// Refuses to lock memory under a limit that the process may not exceed. All memory that the
 /// process allocates later would count towards the limit, and the first allocation beyond it, such
-/// as that of a training, would fail and end the program.
+/// as a training's, would fail and end the program.
 fn check_lock_limit(limit_bytes: Option<u64>, may_exceed: bool) -> Result<(), std::io::Error> {
     match limit_bytes {
         Some(limit_bytes) if !may_exceed => {
@@ -137,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_locked_only_where_no_limit_counts() {
+    fn memory_is_locked_only_if_no_limit_applies() {
         for (limit_bytes, may_exceed) in [(None, false), (None, true), (Some(8 << 20), true)] {
             assert!(check_lock_limit(limit_bytes, may_exceed).is_ok());
         }

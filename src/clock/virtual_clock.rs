@@ -13,7 +13,7 @@ pub struct VirtualClock {
 }
 
 impl VirtualClock {
-    /// Moves time on by `duration_ns`.
+    /// Advances the time by `duration_ns`.
     pub fn advance(&self, duration_ns: Nanoseconds) {
         self.now_ns.fetch_add(duration_ns, Ordering::Relaxed);
     }

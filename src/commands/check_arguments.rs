@@ -23,7 +23,8 @@ pub struct CheckArguments {
 }
 
 impl CheckArguments {
-    /// The reaction of a rig at this device to a fault that leaves a doubt.
+    /// Returns the reaction of a rig with this device to a lost link and to a fault that leaves a
+    /// doubt.
     pub fn recovery(self, device: &DeviceChoice) -> Recovery {
         // Only a device that outlives this program can be in doubt after the program has ended.
         let outlives = matches!(device, DeviceChoice::Port(_) | DeviceChoice::Hil(_));
@@ -47,8 +48,8 @@ fn patience(text: &str) -> Result<f64, String> {
     between(text, 0.0, 3600.0)
 }
 
-/// Folder for the doubts about boards: the service's state folder, else `qube-hil` in the user's;
-/// `None` if the environment names none by an absolute path.
+/// Returns the folder for the doubts about boards: the service's state folder, else `qube-hil` in
+/// the user's; `None` if the environment names none by an absolute path.
 fn doubts_folder() -> Option<PathBuf> {
     let folder = |name: &str| {
         let value = std::env::var_os(name).filter(|value| !value.is_empty())?;

@@ -18,9 +18,9 @@ pub struct Row {
     pub name: String,
     /// Verdict in a word, such as `pass` or `FAIL`; `-` for a check that was not done.
     pub word: &'static str,
-    /// Finding.
+    /// Finding, such as a measured value.
     pub value: String,
-    /// Remedy, with a word that introduces it.
+    /// Remedy, with the words that introduce it.
     pub remedy: Option<(&'static str, String)>,
 }
 
@@ -40,7 +40,8 @@ impl From<&CheckResult> for Row {
     }
 }
 
-/// Renders the rows as a table of 80 columns; only a word that is longer makes a line longer.
+/// Renders the rows as a table of 80 columns; only a name or word that does not fit makes a line
+/// longer.
 pub fn table(rows: &[Row]) -> String {
     let name_width = rows.iter().map(|row| row.name.chars().count()).max().unwrap_or(0);
     let word_width = rows.iter().map(|row| row.word.chars().count()).max().unwrap_or(0);
@@ -60,8 +61,8 @@ pub fn table(rows: &[Row]) -> String {
 }
 
 /// Appends a paragraph after a head and breaks it into lines of at most [`COLUMNS`] characters,
-/// with every line after the first indented. Words are never cut, so a longer word makes a longer
-/// line.
+/// with every line after the first indented. Words are never cut, so a word that does not fit makes
+/// a longer line.
 fn push_wrapped(text: &mut String, head: &str, paragraph: &str, indent: usize) {
     let mut line = head.to_owned();
     let mut is_empty = true;
@@ -82,8 +83,8 @@ fn push_wrapped(text: &mut String, head: &str, paragraph: &str, indent: usize) {
     text.push('\n');
 }
 
-/// The results for `--json`; `pass` is null for a check that was not done, and `cure` is the remedy
-/// with the command that helps.
+/// Returns the results for `--json`; `pass` is null for a check that was not done, and `cure` is
+/// the remedy with the command that helps.
 pub fn checks_json(results: &[CheckResult]) -> Value {
     let pass = |verdict| match verdict {
         CheckVerdict::Pass => Some(true),

@@ -28,7 +28,7 @@ pub struct ChosenDevice {
     pub clock: ClockChoice,
     /// Plant that is driven.
     pub plant: PlantModel,
-    /// Whether the operator gave a file that describes the plant.
+    /// True if the operator gave a file that describes the plant.
     pub plant_is_given: bool,
     /// Consent to drive the plant, if it is given.
     pub plant_consent: Option<PlantConsent>,
@@ -40,13 +40,13 @@ pub struct ChosenDevice {
     pub home: Option<HomingMethod>,
     /// Profile that the file with the Qube's properties names, if any.
     pub profile: Option<Profile>,
-    /// Whether the guard treats the embedded emulated Qube like one that is not identified.
+    /// True if the guard treats the embedded emulated Qube like one that is not identified.
     pub unidentified: bool,
 }
 
 impl ChosenDevice {
-    /// The notice that a real Qube does not look for its stops, because its file says so; `None`
-    /// for every other Qube, and where the arguments name the method.
+    /// Returns the notice that a real Qube does not look for its stops, because its file says so;
+    /// `None` for every other Qube, and where the arguments name the method.
     pub fn homing_notice(&self) -> Option<String> {
         let method = self.file.as_ref().map(|file| file.homing.method)?;
         let is_silent = self.home.is_none() && self.choice.is_hardware();
@@ -58,9 +58,9 @@ impl ChosenDevice {
         )
     }
 
-    /// The warning that the profile of a real Qube names no board, so that it cannot be compared
-    /// with the board in the Qube's file; `None` for every other Qube, where the Qube's file names
-    /// no board, and without a profile.
+    /// Returns the warning that the profile of a real Qube names no board, so that it cannot be
+    /// compared with the board in the Qube's file; `None` for every other Qube, where the Qube's
+    /// file names no board, and without a profile.
     pub fn profile_warning(&self) -> Option<String> {
         let file = self.file.as_ref()?;
         let (named, board, profile) =
@@ -74,7 +74,7 @@ impl ChosenDevice {
         })
     }
 
-    /// The driven Qube in words: the emulated one, or the one at a port.
+    /// Returns the driven Qube in words: the emulated Qube, or the Qube at a port.
     pub fn described(&self) -> String {
         let plant = match self.plant.is_qube() {
             true => "Qube".to_owned(),
@@ -86,14 +86,14 @@ impl ChosenDevice {
         }
     }
 
-    /// Homing settings: those of the Qube's file with the estimator of `default`, or else
-    /// `default`. A method that the arguments name replaces the method of these settings.
+    /// Returns the homing settings of the Qube's file with the estimator of `default`, or without a
+    /// file `default`. A method that the arguments name replaces the method of these settings.
     pub fn homing(&self, default: HomingSettings) -> HomingSettings {
         let homing = self.file.as_ref().map_or(default, |file| file.homing(default.estimator));
         HomingSettings { method: self.home.unwrap_or(homing.method), ..homing }
     }
 
-    /// The options that select this device again, each with a space before it; empty for an
+    /// Returns the options that select this device again, each with a space before it; empty for an
     /// emulated Qube without a file.
     pub fn options(&self) -> String {
         let mut options = match (self.choice.name(), &self.path) {
@@ -107,8 +107,8 @@ impl ChosenDevice {
         options
     }
 
-    /// The option that keeps the homing of this command line when the work is resumed, with a space
-    /// before it; empty where the resumed work homes in the same way without it.
+    /// Returns the option that keeps the homing of this command line when the work is resumed, with
+    /// a space before it; empty where the resumed work homes in the same way without it.
     pub fn home_option(&self) -> String {
         // Without a file, resumed work keeps the method that it recorded; but a real Qube is homed
         // by hand only where its operator says so each time.
@@ -122,16 +122,17 @@ impl ChosenDevice {
         }
     }
 
-    /// Checksum of the profile that the Qube's file names and by which the guard knows the Qube;
-    /// `none` without a profile.
+    /// Returns the checksum of the profile that the Qube's file names and the guard uses; `none`
+    /// without a profile.
     pub fn guard_profile(&self) -> String {
         let text = self.profile.as_ref().and_then(|profile| serde_json::to_vec(profile).ok());
         text.map_or_else(|| "none".to_owned(), |text| checksum_of(&text))
     }
 
     /// Checks that resumed work keeps the guard and the homing that it began with, because its
-    /// rollouts are compared. `work` is the name of the work, such as "a session";
-    /// `is_unidentified` and `homing` are the settings that the work recorded.
+    /// rollouts are compared. A real Qube is homed by hand only if this command line says so.
+    /// `work` is the name of the work, such as "a session"; `is_unidentified` and `homing` are the
+    /// settings that the work recorded.
     pub fn check_resumed(
         &self,
         work: &str,
@@ -170,10 +171,11 @@ impl ChosenDevice {
             .map_err(|error| Failure::usage(format!("--plant: {}", too_wide(&error))))
     }
 
-    /// Checks that a serial port exists, before a command says what it is going to do with it. The
-    /// port is not opened, because that may restart its board.
+    /// Checks that a serial port exists, before a command announces its work there. The port is not
+    /// opened, because that may restart its board.
     pub fn check_port_exists(&self) -> Result<(), Failure> {
-        let is_port = |path: &str| Path::new(path).metadata().is_ok_and(|it| may_be_serial(&it));
+        let is_port =
+            |path: &str| Path::new(path).metadata().is_ok_and(|file| may_be_serial(&file));
         match &self.choice {
             DeviceChoice::Port(port) if !is_port(port) => self.check_port(),
             _ => Ok(()),
@@ -194,14 +196,15 @@ impl ChosenDevice {
         opened.map_err(Failure::usage)
     }
 
-    /// The task's box, narrowed to the limits in the Qube's file, if there is one.
+    /// Returns the task's box, narrowed to the limits in the Qube's file, if there is one.
     pub fn safety_box(&self, of_the_task: SafetyBox) -> SafetyBox {
         self.file.as_ref().map_or(of_the_task, |file| file.within_limits(&of_the_task))
     }
 
-    /// The limits of a rig with this device: for hardware no box may be wider than `safety_box`,
-    /// which must itself be allowed; for an emulated Qube, which has no stop that could break, the
-    /// limits are the default ones. `origin` names the source of the box in the error.
+    /// Returns the limits of a rig with this device: for hardware no box may be wider than
+    /// `safety_box`, which must itself be allowed; for an emulated Qube, which has no stop that
+    /// could break, the limits are the default ones. `origin` names the source of the box in the
+    /// error.
     pub fn limits(
         &self,
         origin: &str,
@@ -218,22 +221,22 @@ impl ChosenDevice {
             .map_err(|error| Failure::usage(format!("{origin}: {}", too_wide(&error))))
     }
 
-    /// The warning before driving a real Qube whose motor is not known to go off when its board
-    /// loses power; `None` for every other Qube.
+    /// Returns the warning before driving a real Qube whose motor is not known to go off when its
+    /// board loses power; `None` for every other Qube.
     pub fn power_warning(&self) -> Option<&'static str> {
         let power = self.file.as_ref().and_then(QubeFile::power);
         before_driving(power).filter(|_| self.choice.is_hardware())
     }
 
-    /// Thermal rating of the motor: for current and time constant, the smaller value of the plant
-    /// and of the Qube's file, if there is one.
+    /// Returns the thermal rating of the motor: for current and time constant, the smaller value of
+    /// the plant and of the Qube's file, if there is one.
     fn motor(&self) -> MotorRating {
         let of_plant = self.plant.motor_rating();
         self.file.as_ref().map_or(of_plant, |file| file.motor.lower(&of_plant))
     }
 
-    /// The settings with which a rig is opened. The widest box is the task's; callers with a
-    /// narrower box replace the limits.
+    /// Returns the settings with which a rig is opened. The widest box is the task's; callers with
+    /// a narrower box replace the limits.
     pub fn rig_settings(
         &self,
         emulator: EmulatorSettings,
@@ -259,7 +262,7 @@ impl ChosenDevice {
     }
 }
 
-/// The name of a method of homing in `--home`.
+/// Returns the name of a method of homing in `--home`.
 pub fn method_name(method: HomingMethod) -> &'static str {
     match method {
         HomingMethod::Stops => "stops",

@@ -1,5 +1,5 @@
-//! Hints that name the program's commands and options, for errors of the library, which knows no
-//! command.
+//! Hints that name the program's commands and options, for errors of the library, whose messages
+//! name no command.
 
 use crate::identification::Drift;
 use crate::recording::{RecordingError, Unreadable};
@@ -7,7 +7,7 @@ use crate::rig::{PowerTest, PowerWarning, RigSettings, power_warning};
 use crate::safety::{Guard, HardwareRefusal, Limit};
 use crate::telemetry::{CheckResult, Fault, Hint};
 
-/// The command that helps after a fault; `None` if there is none.
+/// Returns the command that helps after a fault; `None` if there is none.
 pub fn after_fault(fault: Fault) -> Option<&'static str> {
     match fault {
         Fault::NoSample | Fault::WatchdogTripped | Fault::TooLate => {
@@ -24,7 +24,7 @@ pub fn after_fault(fault: Fault) -> Option<&'static str> {
     }
 }
 
-/// The commands that help after this limit has ended a rollout; `None` if there are none.
+/// Returns the commands that help after this limit has ended a rollout; `None` if there are none.
 pub fn after_limit(limit: Limit) -> Option<&'static str> {
     let is_unpredicted = limit == Limit::Unpredicted;
     is_unpredicted.then_some(
@@ -32,8 +32,8 @@ pub fn after_limit(limit: Limit) -> Option<&'static str> {
     )
 }
 
-/// The remedy of a check, with the command that helps, if there is one; `None` if the check has no
-/// remedy.
+/// Returns the remedy of a check, with the command that helps, if there is one; `None` if the check
+/// has no remedy.
 pub fn remedy(result: &CheckResult) -> Option<String> {
     let remedy = result.remedy.clone()?;
     Some(match result.hint {
@@ -50,7 +50,7 @@ pub fn remedy(result: &CheckResult) -> Option<String> {
     })
 }
 
-/// The error of a recording, with the command that saves the intact part of a damaged one.
+/// Returns the error of a recording, with the command that saves the intact part of a damaged one.
 pub fn recording(error: &RecordingError) -> String {
     let is_damaged =
         matches!(error, RecordingError::Unreadable { why: Unreadable::Damaged { .. }, .. });
@@ -58,8 +58,8 @@ pub fn recording(error: &RecordingError) -> String {
     format!("{error}{by}")
 }
 
-/// The reason why a box or a plant is refused for hardware, with the options that allow it, if
-/// there are any.
+/// Returns the reason why a box or a plant is refused for hardware, with the options that allow it,
+/// if there are any.
 pub fn too_wide(error: &HardwareRefusal) -> String {
     match error {
         HardwareRefusal::GuardOff => {
@@ -72,8 +72,8 @@ pub fn too_wide(error: &HardwareRefusal) -> String {
     }
 }
 
-/// The warnings for an operator before a command drives a Qube under this guard; `power` is the one
-/// about a board that loses its power, if there is one.
+/// Returns the warnings for an operator before a command drives a Qube under this guard; `power` is
+/// the warning about a board that loses its power, if there is one.
 pub fn before_motion(
     power: Option<&'static str>,
     rig: &RigSettings,
@@ -82,22 +82,22 @@ pub fn before_motion(
     power.map(str::to_owned).into_iter().chain(unidentified(rig, guard))
 }
 
-/// The warning before the program drives a Qube that is not identified, with the commands that make
-/// a profile of the Qube; `None` if it is identified or the guard is not foresight.
+/// Returns the warning before the program drives a Qube that is not identified, with the commands
+/// that make a profile of the Qube; `None` if it is identified or the guard is not foresight.
 fn unidentified(rig: &RigSettings, guard: Guard) -> Option<String> {
     let warning = rig.identification_warning(guard)?;
     Some(format!("{warning}: qube-hil run --excite chirp --device PORT, then qube-hil identify"))
 }
 
-/// The drift of a rig from its profile. If the rig has drifted, the commands that make a new
-/// profile follow.
+/// Returns the drift of a rig from its profile. If the rig has drifted, the commands that make a
+/// new profile follow.
 pub fn drift(drift: &Drift) -> String {
     let made_by = if drift.has_moved() { " with run --excite and identify" } else { "" };
     format!("{drift}{made_by}")
 }
 
-/// The warning before the program drives a real Qube whose motor may keep its voltage when the
-/// board loses power; `None` if the motor is known to go off. If its reaction is unknown, the
+/// Returns the warning before the program drives a real Qube whose motor may keep its voltage when
+/// the board loses power; `None` if the motor is known to go off. If its reaction is unknown, the
 /// warning names the command that finds it out.
 pub fn before_driving(power: Option<&PowerTest>) -> Option<&'static str> {
     Some(match power_warning(power)? {
@@ -120,13 +120,16 @@ mod tests {
     fn a_remedy_names_the_command_that_helps_with_it() {
         let failed = CheckResult::fail("watchdog", "motor still on", "flash the firmware");
         assert_eq!(remedy(&failed).as_deref(), Some("flash the firmware"));
-        let told = remedy(&failed.with_hint(Some(Hint::TestConformance))).unwrap();
-        assert!(told.starts_with("flash the firmware with qube-hil check --conformance"), "{told}");
+        let message = remedy(&failed.with_hint(Some(Hint::TestConformance))).unwrap();
+        assert!(
+            message.starts_with("flash the firmware with qube-hil check --conformance"),
+            "{message}"
+        );
         assert_eq!(remedy(&CheckResult::pass("watchdog", "")), None);
     }
 
     #[test]
-    fn only_a_contradicted_profile_asks_for_a_new_one() {
+    fn only_a_contradicted_profile_has_a_hint_to_make_a_new_one() {
         let hint = after_limit(Limit::Unpredicted).unwrap();
         assert!(hint.contains("run --excite") && hint.contains("identify"), "{hint}");
         assert_eq!(after_limit(Limit::Foresight), None);

@@ -48,7 +48,7 @@ fn parsed(arguments: &[OsString]) -> Result<CommandLine, clap::Error> {
     })
 }
 
-/// The subcommand that the arguments name, whose usage an error then shows.
+/// Returns the subcommand that the arguments name, whose usage an error then shows.
 fn named(command: Command, arguments: &[OsString]) -> Command {
     arguments.iter().skip(1).fold(command, |command, argument| {
         command.find_subcommand(argument).cloned().unwrap_or(command)
@@ -67,7 +67,7 @@ fn print_help(help: &clap::Error) -> u8 {
     }
 }
 
-/// The first paragraph of an error, which says what is wrong, on one line.
+/// Returns the first paragraph of an error, which describes the mistake, on one line.
 pub fn cause_of(error: &clap::Error) -> String {
     let message = error.to_string();
     // Missing arguments are listed below the first line.
@@ -76,7 +76,8 @@ pub fn cause_of(error: &clap::Error) -> String {
     lines.join(" ").trim_start_matches("error: ").to_owned()
 }
 
-/// The program's commands. A negative number counts as a value, because no option is a digit.
+/// Returns the program's commands. A negative number counts as a value, because no option is a
+/// digit.
 pub fn command() -> Command {
     CommandLine::command().mut_subcommands(|command| {
         command.mut_args(|argument| {
@@ -86,8 +87,8 @@ pub fn command() -> Command {
     })
 }
 
-/// The explanation for a value that was taken for an option because it begins with a dash; `None`
-/// for other errors.
+/// Returns the explanation for a value that was taken for an option because it begins with a dash;
+/// `None` for other errors.
 fn value_with_a_dash(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
     let Some(ContextValue::String(unknown)) = error.get(ContextKind::InvalidArg) else {
         return None;
@@ -110,8 +111,8 @@ fn value_with_a_dash(error: &clap::Error, arguments: &[OsString]) -> Option<Stri
     })
 }
 
-/// The explanation for an option beside `--resume` that resumed work does not take; `None` for
-/// other errors.
+/// Returns the explanation for an option beside `--resume` that resumed work does not take; `None`
+/// for other errors.
 fn kept_when_resumed(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
     let names_resume = |kind| match error.get(kind) {
         Some(ContextValue::String(name)) => name.starts_with("--resume"),
@@ -131,8 +132,8 @@ fn kept_when_resumed(error: &clap::Error, arguments: &[OsString]) -> Option<Stri
     Some(format!("{}: {advice}", cause_of(error)))
 }
 
-/// The explanation for a value that is not digits where a whole number is expected; `None` for
-/// other errors.
+/// Returns the explanation for a value that is not digits where a whole number is expected; `None`
+/// for other errors.
 fn not_a_whole_number(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
     let cause: &ParseIntError = error.source()?.downcast_ref()?;
     let option = error.get(ContextKind::InvalidArg)?;
@@ -179,8 +180,8 @@ mod tests {
         for (arguments, command) in cases {
             let arguments: Vec<OsString> =
                 ["qube-hil"].iter().chain(arguments).map(OsString::from).collect();
-            let told = parsed(&arguments).unwrap_err().to_string();
-            assert!(told.contains(&format!("Usage: qube-hil {command} ")), "{told}");
+            let message = parsed(&arguments).unwrap_err().to_string();
+            assert!(message.contains(&format!("Usage: qube-hil {command} ")), "{message}");
         }
     }
 }

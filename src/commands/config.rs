@@ -52,7 +52,7 @@ pub const WITHOUT_IDENTIFICATION: &str =
 
 const HEAD: &str = "\
 # The settings of a session, each with its meaning, unit and accepted values. Keep only the lines that you change:
-# what a file does not name comes from the preset. But a list such as [[psi]] replaces the preset's list, [profile] has
+# all other settings come from the preset. But a list such as [[psi]] replaces the preset's list, [profile] has
 # to be whole, because it describes one identified Qube, and without the table [identification] the default method is
 # bayrn, a search that does not identify the Qube. Lines with # and no space are absent by default, with an example.
 # A plant other than the Qube is described in a file of its own (--plant).";
@@ -65,7 +65,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     }
 }
 
-/// The settings that `print` shows: those of the preset, and for `quick` also the table
+/// Returns the settings that `print` shows: the preset's, and for `quick` also the table
 /// `[identification]`, because a session without arguments identifies its Qube.
 fn printed(preset: SessionPreset) -> SessionSettings {
     let identification = match preset {

@@ -15,10 +15,10 @@ use crate::session::{FolderError, SessionPaths};
 use crate::storage::{Disk, Existing, FolderLock, MachineDisk, folder_of, write_new, write_whole};
 
 /// Free space that a disk must have when work begins, bytes: more than a policy or a profile needs.
-const ROOM_BYTES: usize = 1 << 18;
+const FREE_BYTES: usize = 1 << 18;
 
-/// Path of the recording of the rollout with this number; `folder` is the folder of the command
-/// that makes it.
+/// Returns the path of the recording of the rollout with this number; `folder` is the folder of the
+/// command that makes it.
 pub fn recording_of(folder: &Path, rollout: u32) -> PathBuf {
     folder.join(format!("rollout-{rollout}.mcap"))
 }
@@ -65,9 +65,10 @@ impl OutputFile {
         Ok(Self { path: path.to_owned(), existing })
     }
 
-    /// Writes the file, which appears whole or not at all. If that fails, or another process has
-    /// created the file meanwhile, the bytes go into the folder for temporary files. The failure
-    /// names the file there, or says that the result is lost.
+    /// Writes the file, which appears whole or not at all. If that fails, for instance because
+    /// another process has meanwhile created a file that may not be replaced, the bytes go into the
+    /// folder for temporary files. The failure names the file there, or says that the result is
+    /// lost.
     pub fn write(&self, bytes: &[u8]) -> Result<(), Failure> {
         self.write_or_keep_in(&std::env::temp_dir(), bytes)
     }
@@ -108,8 +109,8 @@ pub struct OutputFolder {
 }
 
 impl OutputFolder {
-    /// The requested folder, created if it is missing; without a request a new folder under `logs/`
-    /// whose name consists of the command and the time in UTC.
+    /// Returns the requested folder, created if it is missing; without a request a new folder under
+    /// `logs/` whose name consists of the command and the time in UTC.
     pub fn make(asked: Option<&Path>, command: &str) -> Result<Self, Failure> {
         let Some(path) = asked else {
             let now = jiff::Timestamp::now().strftime("%Y%m%d-%H%M%S");
@@ -120,8 +121,8 @@ impl OutputFolder {
         Ok(folder)
     }
 
-    /// The folder of the option `option`, created if it is missing, after a check that files can
-    /// be written there.
+    /// Returns the folder of the option `option`, created if it is missing, after a check that
+    /// files can be written there.
     pub fn of_option(option: &str, path: &Path) -> Result<Self, Failure> {
         let mut folder = Self { path: path.to_owned(), made: Vec::new() };
         let checked = folder.make_missing(path).and_then(|()| check_folder(path));
@@ -129,8 +130,8 @@ impl OutputFolder {
         Ok(folder)
     }
 
-    /// A new folder of this name. If the name exists, for instance because another program started
-    /// within the same second, a number is appended.
+    /// Makes a new folder of this name. If the name exists, for instance because another program
+    /// started within the same second, a number is appended.
     fn numbered(above: &Path, name: &str) -> Result<Self, Failure> {
         let mut folder = Self { path: above.to_owned(), made: Vec::new() };
         folder.make_missing(above)?;
@@ -168,7 +169,7 @@ impl OutputFolder {
         Ok(())
     }
 
-    /// Path of the folder.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -221,7 +222,7 @@ impl Drop for OutputFolder {
     }
 }
 
-/// The number of a recording named `rollout-NUMBER.mcap`; `None` for any other name.
+/// Returns the number of a recording named `rollout-NUMBER.mcap`; `None` for any other name.
 fn rollout_of(name: &OsStr) -> Option<u64> {
     name.to_str()?.strip_prefix("rollout-")?.strip_suffix(".mcap")?.parse().ok()
 }
@@ -236,7 +237,7 @@ pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     let trial = folder.join(format!(".qube-hil-{}", std::process::id()));
     let written = MachineDisk
         .create(&trial, Existing::Replace)
-        .and_then(|mut file| file.write_all(&[0; ROOM_BYTES]).and_then(|()| file.sync()));
+        .and_then(|mut file| file.write_all(&[0; FREE_BYTES]).and_then(|()| file.sync()));
     let removed = fs::remove_file(&trial);
     if let Some(warning) = removed.err().and_then(|error| trial_left(folder, &trial, &error)) {
         print_message(&warning);
@@ -244,8 +245,8 @@ pub fn check_folder(folder: &Path) -> Result<(), Failure> {
     written.map_err(|error| failures::not_written(folder, &error))
 }
 
-/// The warning that a trial file stays in a folder because of this error; `None` if there is no
-/// such file, as on a read-only disk.
+/// Returns the warning that a trial file stays in a folder because of this error; `None` if there
+/// is no such file, as on a read-only disk.
 fn trial_left(folder: &Path, trial: &Path, error: &io::Error) -> Option<String> {
     trial.symlink_metadata().is_ok().then(|| {
         let (folder, trial) = (folder.display(), trial.display());
@@ -265,7 +266,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_result_that_finds_its_place_gone_is_kept_elsewhere() {
+    fn a_result_whose_place_is_gone_is_kept_elsewhere() {
         let directory = tempfile::tempdir().unwrap();
         let shelter = tempfile::tempdir().unwrap();
         let folder = directory.path().join("folder");
@@ -307,20 +308,20 @@ mod tests {
     }
 
     #[test]
-    fn a_trial_file_is_told_of_only_where_it_stays() {
+    fn a_trial_file_is_reported_only_if_it_stays() {
         let directory = tempfile::tempdir().unwrap();
         let folder = directory.path();
         let trial = folder.join("trial");
-        let told = || trial_left(folder, &trial, &ErrorKind::ReadOnlyFilesystem.into());
-        assert_eq!(told(), None);
+        let warning = || trial_left(folder, &trial, &ErrorKind::ReadOnlyFilesystem.into());
+        assert_eq!(warning(), None);
         fs::write(&trial, "").unwrap();
-        let told = told().unwrap();
-        assert!(told.contains(&format!("the folder {} ", folder.display())), "{told}");
-        assert!(told.contains(&trial.display().to_string()), "{told}");
+        let warning = warning().unwrap();
+        assert!(warning.contains(&format!("the folder {} ", folder.display())), "{warning}");
+        assert!(warning.contains(&trial.display().to_string()), "{warning}");
     }
 
     #[test]
-    fn two_folders_of_one_second_are_two() {
+    fn folders_of_the_same_second_have_different_names() {
         let directory = tempfile::tempdir().unwrap();
         let logs = directory.path().join("logs");
         let folders = [(); 3].map(|()| OutputFolder::numbered(&logs, "run-1").unwrap());
@@ -349,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_that_stay_empty_go_again_and_others_stay() {
+    fn empty_folders_are_removed_and_others_stay() {
         let directory = tempfile::tempdir().unwrap();
         let inner = directory.path().join("logs/one");
         drop(OutputFolder::make(Some(&inner), "run").unwrap());

@@ -68,11 +68,11 @@ pub struct QubeArguments {
     treatment: TreatmentArguments,
 }
 
-/// The arguments that say how a Qube is treated, whichever it is.
+/// The arguments for the treatment of a Qube, emulated or real.
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "Qube")]
 pub struct TreatmentArguments {
-    /// How the arm's middle is found: between its stops, or where the operator put it by hand
+    /// Method that finds the arm's middle: between its stops, or where the operator put it by hand
     /// [default: as the --qube file says, else stops]
     #[arg(long, value_enum)]
     home: Option<HomeArgument>,
@@ -111,7 +111,7 @@ impl HomeArgument {
 }
 
 impl TimedPlantArguments {
-    /// The clock that `--clock` names, if any.
+    /// Returns the clock that `--clock` names, if any.
     pub fn clock(&self) -> Option<ClockChoice> {
         Some(match self.clock? {
             ClockArgument::Wall => ClockChoice::Wall,
@@ -128,7 +128,7 @@ impl DeviceArguments {
 }
 
 impl QubeArguments {
-    /// The arguments of one Qube among several.
+    /// Returns the arguments of one Qube among several.
     pub fn of_one(
         device: Option<String>,
         qube: Option<PathBuf>,
@@ -141,7 +141,7 @@ impl QubeArguments {
     pub fn choose_timed(&self, timed: &TimedPlantArguments) -> Result<ChosenDevice, Failure> {
         let clock = timed.clock().unwrap_or(ClockChoice::Wall);
         let chosen = ChosenDevice { clock, ..self.selected(&timed.plant)? };
-        // The rig refuses this too, but only after a command has said what it is going to do.
+        // The rig refuses this too, but only after a command has announced its work.
         if let (ClockChoice::Virtual, Some(port)) = (clock, chosen.choice.name()) {
             return Err(failures::virtual_port(&RigError::VirtualPort { port }));
         }
@@ -161,7 +161,8 @@ impl QubeArguments {
         Ok(chosen)
     }
 
-    /// Says whose settings are used, and whether a file of a real Qube beside the program is not.
+    /// Prints the file whose settings are used, or a note that the file of a real Qube in the
+    /// working directory is not used; then notices about homing and profile.
     fn announce(&self, chosen: &ChosenDevice) {
         if let Some(path) = &chosen.path {
             print_message(&format!("this Qube's settings are those in {}", path.display()));
@@ -244,8 +245,9 @@ impl QubeArguments {
     }
 }
 
-/// Refuses a profile that was fitted to recordings of other boards than that of the file which
-/// names the profile, instead of driving the Qube as one that is not identified.
+/// Refuses a profile if another board than the one in the file that names the profile made any of
+/// the fitted recordings. Without this check the Qube would be driven as one that is not
+/// identified.
 fn check_boards(path: &Path, file: &QubeFile, profile: &Profile) -> Result<(), Failure> {
     let Some(board) = file.board.as_ref().filter(|board| !profile.may_be_of_board(board)) else {
         return Ok(());
@@ -339,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_replaces_homing_at_the_stops_of_a_real_qube_is_told() {
+    fn a_file_that_replaces_homing_at_the_stops_of_a_real_qube_is_reported() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("qube.toml");
         let notice = |method: &str, device: &str, home| {
@@ -348,10 +350,10 @@ mod tests {
             let one = QubeArguments::of_one(Some(device.into()), Some(path.clone()), treatment);
             one.choose_specimen(&PlantModel::QUBE).unwrap().homing_notice()
         };
-        // The method had the name `here` in files of earlier versions.
+        // Files of earlier versions call the method `here`.
         for method in ["hand", "here"] {
-            let told = notice(method, "/dev/ttyACM0", None).unwrap();
-            assert!(told.contains("counts as the middle"), "{told}");
+            let notice_text = notice(method, "/dev/ttyACM0", None).unwrap();
+            assert!(notice_text.contains("counts as the middle"), "{notice_text}");
             assert_eq!(notice(method, EMULATED, None), None);
             assert_eq!(notice(method, "/dev/ttyACM0", Some(HomeArgument::Hand)), None);
         }

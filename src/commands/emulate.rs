@@ -14,10 +14,10 @@ use crate::storage::folder_of;
 
 /// Serve an emulated Qube on a pseudo-terminal (pty) that any program can open like a serial port
 ///
-/// The emulated Qube has the nominal parameters unless --profile says otherwise, quantised encoders
-/// that start at unknown counts, hard stops, and the latched watchdog of the real firmware. The
-/// command prints the path of the pty. It runs until Ctrl-C or SIGTERM stops it, or until a fault
-/// such as unplug takes the pty away; these are its regular ends, with exit code 0.
+/// The emulated Qube has the nominal parameters unless --profile or --scale changes them, quantised
+/// encoders that start at unknown counts, hard stops, and the latched watchdog of the real
+/// firmware. The command prints the path of the pty. It runs until Ctrl-C or SIGTERM stops it, or
+/// until a fault such as unplug takes the pty away; these are its regular ends, with exit code 0.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil emulate --link /tmp/qube &\n  \
@@ -75,11 +75,11 @@ enum Wire {
     Motor,
 }
 
-/// The failure for a link that cannot be made.
+/// Returns the failure for a link that cannot be made.
 fn link_refused(link: &Path, error: &io::Error) -> Failure {
     let shown = link.display();
     Failure::usage(match error.kind() {
-        // The message names the path and what has it.
+        // The message names the path and the file or link that exists there.
         ErrorKind::AlreadyExists => format!("--link: {error}"),
         ErrorKind::NotFound | ErrorKind::NotADirectory => format!(
             "--link {shown}: the folder {} does not exist: create it first, or name a path in another folder",

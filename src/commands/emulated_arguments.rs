@@ -58,8 +58,8 @@ pub struct EmulatedArguments {
     scale: Vec<(DomainParameter, f64)>,
 }
 
-/// An entry of a file of plants, which describes one emulated Qube. Keys that the entry leaves out
-/// have the defaults of the command line.
+/// An emulated Qube, described by an entry of a file of plants. Keys that the entry leaves out have
+/// the defaults of the command line.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlantEntry {
@@ -82,7 +82,7 @@ pub struct PlantEntry {
 }
 
 impl EmulatedArguments {
-    /// The arguments of an entry in a file, checked by the rules of the command line.
+    /// Returns the arguments of an entry in a file, checked by the rules of the command line.
     ///
     /// # Errors
     /// Describes the first invalid value.
@@ -113,7 +113,7 @@ impl EmulatedArguments {
         })
     }
 
-    /// A name for these settings that is valid for a folder, such as `lab+gap1.5+10ms`.
+    /// Returns a name for these settings that is valid for a folder, such as `lab+gap1.5+10ms`.
     pub fn name(&self) -> String {
         let profile = self.profile.as_deref().unwrap_or(Path::new(profile::IDEAL));
         let stem = profile.file_stem().unwrap_or_default().to_string_lossy();
@@ -144,14 +144,15 @@ impl EmulatedArguments {
         name
     }
 
-    /// The settings of an emulated Qube of this plant; nominal settings without any argument.
+    /// Returns the settings of an emulated Qube of this plant; nominal settings without any
+    /// argument.
     pub fn of_plant(&self, plant: &PlantModel) -> Result<EmulatedQubeSettings, Failure> {
         let nominal =
             EmulatedQubeSettings { model: plant.nominal(), ..EmulatedQubeSettings::default() };
         self.applied_to(nominal, plant)
     }
 
-    /// Whether any argument is given.
+    /// Returns whether any argument is given.
     pub fn are_given(&self) -> bool {
         self.first_given().is_some()
     }
@@ -181,7 +182,8 @@ impl EmulatedArguments {
         }
     }
 
-    /// The settings of an emulated Qube of this plant with the changes that the arguments ask for.
+    /// Returns the settings of an emulated Qube of this plant with the changes that the arguments
+    /// describe.
     pub fn applied_to(
         &self,
         mut settings: EmulatedQubeSettings,
@@ -257,7 +259,7 @@ impl EmulatedArguments {
     }
 }
 
-/// Refuses an option that is repeated for one and the same name.
+/// Refuses an option that is repeated for the same name.
 fn named_once(option: &str, names: &[&str]) -> Result<(), Failure> {
     let mut numbered = names.iter().enumerate();
     match numbered.find(|(index, name)| names[..*index].contains(name)) {

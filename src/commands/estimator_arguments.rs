@@ -51,8 +51,8 @@ enum EstimatorArgument {
 }
 
 impl EstimatorArguments {
-    /// The settings of the estimator for this plant; `None` without any argument. The arguments of
-    /// an estimator that is not selected are refused.
+    /// Returns the settings of the estimator for this plant; `None` without any argument. The
+    /// arguments of an estimator that is not selected are refused.
     pub fn settings(&self, plant: &PlantModel) -> Result<Option<EstimatorSettings>, Failure> {
         let observes = self.estimator == Some(EstimatorArgument::Observer);
         if observes && self.filter.is_some() {

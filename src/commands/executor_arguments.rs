@@ -27,7 +27,7 @@ const STALE_S: f64 = 60.0;
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Where policies are trained")]
 pub struct ExecutorArguments {
-    /// Where policies are trained: `local` on this computer; `slurm` by job arrays of Slurm;
+    /// Place of the trainings: `local` on this computer; `slurm` by job arrays of Slurm;
     /// `folder` by workers that you start by hand; any other text is a command that starts workers,
     /// in which {work} stands for a worker's command, {workers} for their number and {folder} for
     /// the folder of jobs. The policies are the same wherever they are trained
@@ -96,7 +96,7 @@ enum ExecutorChoice {
 }
 
 impl ExecutorChoice {
-    /// The choice as the command line has it.
+    /// Returns the choice in the spelling of the command line.
     fn text(&self) -> &str {
         match self {
             Self::Local => "local",
@@ -120,14 +120,14 @@ impl FromStr for ExecutorChoice {
     }
 }
 
-/// The starter of the workers' command `work` by a command of the operator.
+/// Makes the starter that runs the workers' command `work` by a command of the operator.
 fn command_starter(template: &str, work: String) -> Result<CommandStarter, Failure> {
     CommandStarter::new(template, work).map_err(|error| {
         Failure::usage(format!("--executor {template}: {error}; or give local, slurm or folder"))
     })
 }
 
-/// The shell command by which `program` works in the folder `root`.
+/// Returns the shell command by which `program` works in the folder `root`.
 fn worker_command(program: &Path, root: &Path) -> String {
     let word = |path: &Path| quoted(&path.to_string_lossy());
     format!("{} work {}", word(program), word(root))
@@ -149,8 +149,8 @@ fn check_words(program: &Path, root: &Path) -> Result<(), Failure> {
 }
 
 impl ExecutorArguments {
-    /// Checks, before a folder is made, that no option is given in vain and that the executor can
-    /// start workers: that the operator's command is valid, or that Slurm is on this computer.
+    /// Checks, before a folder is made, that each given option has an effect and that the executor
+    /// can start workers: that the operator's command is valid, or that Slurm is on this computer.
     pub fn check(&self) -> Result<(), Failure> {
         if let Some(option) = self.unused_option() {
             return Err(Failure::usage(format!(
@@ -166,7 +166,8 @@ impl ExecutorArguments {
         }
     }
 
-    /// The options beside `--executor` that are given, with their values; a switch has none.
+    /// Returns the options beside `--executor` that are given, with their values; a switch has
+    /// none.
     fn given(&self) -> Vec<(&'static str, Option<String>)> {
         let path = |path: &PathBuf| path.to_string_lossy().into_owned();
         let values = [
@@ -185,7 +186,7 @@ impl ExecutorArguments {
         values.chain(switches).collect()
     }
 
-    /// The first option that is given and that this executor does not use.
+    /// Returns the first option that is given and that this executor does not use.
     fn unused_option(&self) -> Option<&'static str> {
         let is_unused = |option: &str| match self.executor {
             ExecutorChoice::Local => true,
@@ -195,8 +196,8 @@ impl ExecutorArguments {
         self.given().into_iter().map(|(option, _)| option).find(|option| is_unused(option))
     }
 
-    /// The options that select the same executor in the command that resumes the work, each after a
-    /// blank; empty for this computer's cores.
+    /// Returns the options that select the same executor in the command that resumes the work, each
+    /// after a blank; empty for this computer's cores.
     pub fn options(&self) -> String {
         if let ExecutorChoice::Local = self.executor {
             return String::new();
@@ -209,8 +210,9 @@ impl ExecutorArguments {
         std::iter::once(executor).chain(self.given()).map(word).collect()
     }
 
-    /// The executor of the trainings, or `None` for this computer's cores. The executor becomes the
-    /// coordinator of the folder of jobs. `results` is the folder of the session or experiment.
+    /// Returns the executor of the trainings, or `None` for this computer's cores. The executor
+    /// becomes the coordinator of the folder of jobs. `results` is the folder of the session or
+    /// experiment.
     pub fn executor(
         &self,
         results: &Path,
@@ -247,7 +249,7 @@ impl ExecutorArguments {
         Ok(Some(Arc::new(executor.map_err(failed)?.while_waiting(service_manager::alive))))
     }
 
-    /// Path of the program on the workers' computers.
+    /// Returns the path of the program on the workers' computers.
     fn worker_program(&self) -> Result<PathBuf, Failure> {
         match &self.worker_program {
             Some(program) => Ok(program.clone()),

@@ -17,37 +17,38 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// A failure with exit code 1: the attempt did not succeed (a failed check, a full disk).
+    /// Makes a failure with exit code 1: the attempt did not succeed (a failed check, a full disk).
     pub fn failed(message: impl ToString) -> Self {
         Self { code: 1, message: message.to_string(), fault: None }
     }
 
-    /// A failure with exit code 2: the request is invalid (bad usage, bad input, no such port).
+    /// Makes a failure with exit code 2: the request is invalid (bad usage, bad input, no such
+    /// port).
     pub fn usage(message: impl ToString) -> Self {
         Self { code: 2, message: message.to_string(), fault: None }
     }
 
-    /// A failure with exit code 3: finished, but data was lost or a replay differs.
+    /// Makes a failure with exit code 3: finished, but data was lost or a replay differs.
     pub fn data_lost(message: impl ToString) -> Self {
         Self { code: 3, message: message.to_string(), fault: None }
     }
 
-    /// A failure with exit code 4: stopped by a latched safety fault.
+    /// Makes a failure with exit code 4: stopped by a latched safety fault.
     /// [`caused_by`](Self::caused_by) adds the fault.
     pub fn fault(message: impl ToString) -> Self {
         Self { code: 4, message: message.to_string(), fault: None }
     }
 
-    /// A failure with exit code 128 + signal: stopped by a signal; finished work is on disk.
+    /// Makes a failure with exit code 128 + signal: stopped by a signal; finished work is on disk.
     pub fn interrupted(signal: i32, message: impl ToString) -> Self {
         let code = 128_u8.wrapping_add(signal as u8);
         Self { code, message: message.to_string(), fault: None }
     }
 
-    /// The failure of work that consists of several named parts, some of which failed; `None` if
-    /// none failed. The exit code is that of the gravest part: a fault, after which the motor may
-    /// be on, comes before a stop by a signal, and a stop before all other failures, of which the
-    /// largest code counts. The fault is the first part's that has one.
+    /// Returns the failure of work that consists of several named parts, some of which failed;
+    /// `None` if none failed. The exit code is the gravest part's: a fault, after which the motor
+    /// may be on, comes before a stop by a signal, and a stop before all other failures, of which
+    /// the largest code counts. The fault is the fault of the first part that has one.
     pub fn of_parts(parts: &[(String, Self)]) -> Option<Self> {
         let gravity = |code: &u8| (*code == 4, *code);
         let code = parts.iter().map(|(_, failure)| failure.code).max_by_key(gravity)?;
@@ -78,23 +79,23 @@ impl Failure {
         Self { message, ..self }
     }
 
-    /// The sentence for the user.
+    /// Returns the sentence for the user.
     pub fn cause(&self) -> &str {
         &self.message
     }
 
-    /// Whether a signal, a key or the live view stopped the command.
+    /// Returns whether a signal, a key or the live view stopped the command.
     pub fn is_stop(&self) -> bool {
         self.code >= 128
     }
 
-    /// Whether the request was invalid.
+    /// Returns whether the request was invalid.
     pub fn is_usage(&self) -> bool {
         self.code == 2
     }
 
-    /// The failure as JSON for scripts: exit code, cause, and of a fault its operator's step and
-    /// its consequence.
+    /// Returns the failure as JSON for scripts: exit code, cause, and of a fault its operator's
+    /// step and its consequence.
     pub fn ended_by(&self) -> Value {
         json!({
             "exit_code": self.code,

@@ -195,8 +195,8 @@ enum FamilyArgument {
     Uniform,
 }
 
-/// The parser of model names. Models around an identified Qube are left out, because they need a
-/// recipe that names the Qube's profile.
+/// Returns the parser of model names. Models around an identified Qube are left out, because they
+/// need a recipe that names the Qube's profile.
 fn model_parser() -> impl TypedValueParser<Value = Model> {
     let offered = Model::ALL.into_iter().filter(|model| !model.needs_profile());
     named(offered.map(|model| (model.name(), model.description(), model)))
@@ -249,8 +249,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
         let attached = match Attached::open(&arguments, rig, folder.root(), &stop, output) {
             Ok(attached) => attached,
             Err(failure) => {
-                // A new experiment that is refused before its work leaves nothing that a corrected
-                // command would find in its way.
+                // A new experiment that is refused before its work leaves no folder that would
+                // hinder a corrected command.
                 if arguments.resume.is_none() {
                     withdraw(folder);
                 }
@@ -293,8 +293,8 @@ struct Attached {
 }
 
 impl Attached {
-    /// Opens live view and screen and finds the executor. Fails if a Qube cannot be driven, before
-    /// the first training and not after it.
+    /// Opens live view, screen and keyboard and finds the executor. Fails if a Qube cannot be
+    /// driven, before the first training and not after it.
     fn open(
         arguments: &Arguments,
         rig: RigSettings,
@@ -355,7 +355,8 @@ impl Attached {
     }
 }
 
-/// The results of an experiment as text and as JSON. Writes the page for a browser into its folder.
+/// Returns the results of an experiment as text and as JSON. Writes the page for a browser into its
+/// folder.
 fn results(report: &ExperimentReport, experiment: &Experiment) -> (String, Value) {
     let directory = experiment.folder().root().display().to_string();
     let mut text = format!("{}\neverything is in {directory}", report.text());
@@ -370,8 +371,8 @@ fn results(report: &ExperimentReport, experiment: &Experiment) -> (String, Value
     (text, result)
 }
 
-/// The failure to write the files of these options, if any; `None` stands for an option that is not
-/// given.
+/// Returns the failure to write the files of these options, if any; `None` stands for an option
+/// that is not given.
 fn all_written<const N: usize>(
     files: [(&str, Option<Result<(), Failure>>); N],
 ) -> Result<(), Failure> {

@@ -79,7 +79,7 @@ impl Format {
         }
     }
 
-    /// The contents of a recording's table in this format.
+    /// Returns the contents of a recording's table in this format.
     fn table(self, recording: &Recording) -> Result<Vec<u8>, Failure> {
         match self {
             Self::Csv => Ok(csv_table(recording).into_bytes()),
@@ -130,7 +130,8 @@ fn write_models(arguments: &Arguments, models: &[PathBuf], output: &Output) -> R
 fn write_tables(arguments: &Arguments, tables: &[PathBuf], output: &Output) -> Result<(), Failure> {
     let read = |file: &PathBuf| read(file).map_err(|error| recording_failure(&error));
     let places = places(tables, arguments.force)?;
-    // Each is read once more when its table is written: all of them at once may need much memory.
+    // Each recording is read once more when its table is written, because all of them at once may
+    // need much memory.
     for file in &arguments.files {
         read(file)?;
     }
@@ -149,14 +150,15 @@ fn write_tables(arguments: &Arguments, tables: &[PathBuf], output: &Output) -> R
     lost.map_or(Ok(()), Err)
 }
 
-/// The files of tables or models, in their order, as [`place`] checks them.
+/// Returns the files of tables or models, in their order, as [`place`] checks them.
 fn places(paths: &[PathBuf], force: bool) -> Result<Vec<OutputFile>, Failure> {
     paths.iter().map(|path| place(path, force)).collect()
 }
 
-/// The file of a table or model. An existing one is refused unless `force` is set.
+/// Returns the file of a table or model. An existing one is refused unless `force` is set.
 fn place(path: &Path, force: bool) -> Result<OutputFile, Failure> {
-    // The name follows from the recording's or policy's, so that no other name can be asked for.
+    // The name follows from the name of the recording or policy, so the message advises no other
+    // name.
     if !force && path.symlink_metadata().is_ok_and(|it| it.is_file() || it.is_symlink()) {
         return Err(Failure::usage(format!(
             "{} exists already: name another folder by --out, or replace it with --force",
@@ -170,7 +172,8 @@ fn shown(paths: &[PathBuf]) -> Vec<String> {
     paths.iter().map(|path| path.display().to_string()).collect()
 }
 
-/// The path of the table or model that is made from a file: in `folder`, or beside the file.
+/// Returns the path of the table or model that is made from a file: in `folder`, or beside the
+/// file.
 fn written_of(file: &Path, folder: Option<&Path>, extension: &str) -> PathBuf {
     let written = file.with_extension(extension);
     match (folder, written.file_name()) {
@@ -184,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_table_that_exists_is_refused_by_a_message_that_names_no_option_as_its_place() {
+    fn the_refusal_of_an_existing_table_begins_with_its_path_and_advises_another_folder() {
         let directory = tempfile::tempdir().unwrap();
         let table = directory.path().join("rollout-0.csv");
         std::fs::write(&table, "of another").unwrap();

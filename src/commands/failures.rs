@@ -1,4 +1,4 @@
-//! Maps each error of the library to a failure with its exit code, and to advice that names
+//! Maps errors of the library to failures with their exit codes, and adds advice that names
 //! commands and options.
 
 use std::fs::File;
@@ -20,11 +20,12 @@ use crate::recording::RecordingError;
 use crate::rig::RigError;
 use crate::session::{FolderError, LedgerError, RigSessions, SessionError, SessionPaths};
 
-/// The operator's step after looking at a Qube in doubt, and the program's step after that.
+/// Sentence about the operator's step after looking at a Qube in doubt, and the program's next
+/// step.
 pub const THEN_ACKNOWLEDGE: &str =
     "Then start again with --acknowledge: the Qube is examined before it is driven";
 
-/// The failure for an error of a rig.
+/// Returns the failure for an error of a rig.
 pub fn rig(error: RigError, stop: &Stop) -> Failure {
     let fault = error.fault();
     let failure = match error {
@@ -54,7 +55,7 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
             Failure::fault(format!("{error}{then}"))
         }
         RigError::CheckFailed { ref results, .. } => {
-            // Nobody drives a Qube whose motor stays on if the program dies.
+            // A Qube whose motor stays on if the program dies must not be driven.
             let or_skip = match watchdog_failed(results) {
                 true => "",
                 false => "; --skip-check continues without the check",
@@ -78,14 +79,15 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
     failure.caused_by(fault)
 }
 
-/// The refusal of virtual time with a device that is not emulated.
+/// Returns the refusal of virtual time with a device that is not emulated.
 pub fn virtual_port(error: &RigError) -> Failure {
     Failure::usage(format!("{error}: leave --clock virtual or the port out"))
 }
 
-/// Writes the ticks of the last second before a fault or a lost link ended homing to a file, one
+/// Writes to a file the ticks of the last second before a fault or a lost link ended homing, one
 /// tick a line, because homing has no recording. Returns a sentence for the error message: the path
-/// of the file, or why it could not be written. Empty for other errors and without ticks.
+/// of the file, or the reason why it could not be written. The sentence is empty for other errors
+/// and without ticks.
 pub fn with_last_ticks(error: &RigError) -> String {
     let last_ticks = match error {
         RigError::Homing { last_ticks, .. } | RigError::LinkLost { last_ticks, .. } => last_ticks,
@@ -106,8 +108,8 @@ pub fn with_last_ticks(error: &RigError) -> String {
     }
 }
 
-/// The failure for an error of a recording that the program itself made; `recording_failure` is for
-/// recordings that the user names.
+/// Returns the failure for an error of a recording that the program itself made;
+/// `recording_failure` is for recordings that the user names.
 pub fn recording(error: &RecordingError) -> Failure {
     match error {
         RecordingError::DiskFull { .. } | RecordingError::Write { .. } => Failure::failed(error),
@@ -117,8 +119,8 @@ pub fn recording(error: &RecordingError) -> Failure {
     }
 }
 
-/// The failure for an error of a recording that a session made; `resume` is the command that
-/// repeats the rollout and continues the session.
+/// Returns the failure for an error of a recording that a session made; `resume` is the command
+/// that repeats the rollout and continues the session.
 fn recording_of_session(error: &RecordingError, resume: &str) -> Failure {
     match error {
         RecordingError::DiskFull { path } => Failure::failed(format!(
@@ -132,25 +134,25 @@ fn recording_of_session(error: &RecordingError, resume: &str) -> Failure {
     }
 }
 
-/// The failure of a command that has read an incomplete recording; `loss` is the missing part, in
-/// words that follow "the recording".
+/// Returns the failure of a command that has read an incomplete recording; `loss` is the missing
+/// part, in words that follow "the recording".
 pub fn incomplete(file: &Path, loss: &str) -> Failure {
     Failure::data_lost(one_line(&format!("{}: the recording {loss}", file.display())))
 }
 
-/// The failure for an error of a policy file. The file may come from anybody, so the message is
-/// kept on one line.
+/// Returns the failure for an error of a policy file. The file may come from anybody, so the
+/// message is kept on one line.
 pub fn policy(error: &PolicyError) -> Failure {
     Failure::usage(one_line(&error.to_string()))
 }
 
-/// The failure for an error of a session's or an experiment's folder.
+/// Returns the failure for an error of a session's or an experiment's folder.
 pub fn folder(error: &FolderError) -> Failure {
     let word = |path: &Path| quoted(&path.to_string_lossy());
     let advice = match error {
         FolderError::Exists { path } => match resuming_command(path) {
             Some(command) => format!(
-                ". Choose another --out, or continue what is there with qube-hil {command} --resume {}",
+                ". Choose another --out, or continue the existing work with qube-hil {command} --resume {}",
                 word(path)
             ),
             None => ". Choose another --out".into(),
@@ -167,8 +169,8 @@ pub fn folder(error: &FolderError) -> Failure {
     Failure::usage(format!("{error}{advice}"))
 }
 
-/// The command that resumes the work in a folder; `None` for a folder without a session or an
-/// experiment.
+/// Returns the command that resumes the work in a folder; `None` for a folder without a session or
+/// an experiment.
 fn resuming_command(folder: &Path) -> Option<&'static str> {
     if SessionPaths::new(folder).configuration().exists() || RigSessions::are_in(folder) {
         Some("session")
@@ -179,7 +181,7 @@ fn resuming_command(folder: &Path) -> Option<&'static str> {
     }
 }
 
-/// The failure for a file or folder that could not be written.
+/// Returns the failure for a file or folder that could not be written.
 pub fn not_written(path: &Path, error: &io::Error) -> Failure {
     let message = format!("{} cannot be written: {error}", path.display());
     if is_bad_place(error) { Failure::usage(message) } else { Failure::failed(message) }
@@ -189,8 +191,8 @@ fn is_full(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded)
 }
 
-/// Whether the place itself is wrong, so that this user cannot write there at any time; false for a
-/// disk that is full or fails.
+/// Returns whether the place itself is wrong, so that this user cannot write there at any time;
+/// false for a disk that is full or fails.
 fn is_bad_place(error: &io::Error) -> bool {
     use ErrorKind::*;
     matches!(
@@ -206,8 +208,8 @@ fn is_bad_place(error: &io::Error) -> bool {
     )
 }
 
-/// The failure for an error of a session; `resume` is the command that continues the session. A
-/// stop does not hide a fault.
+/// Returns the failure for an error of a session; `resume` is the command that continues the
+/// session. A stop does not hide a fault.
 pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     // The stop may be the cause of the error, but of no fault.
     let is_stopped = stop.requested() && !matches!(error, SessionError::Stopped);
@@ -219,7 +221,7 @@ pub fn session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     }
 }
 
-/// The failure for the error with which a session ended.
+/// Returns the failure for the error with which a session ended.
 fn ended_session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     let fault = error.fault();
     let failure = match error {
@@ -265,7 +267,7 @@ fn ended_session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
     failure.caused_by(fault)
 }
 
-/// The failure for an error of a job.
+/// Returns the failure for an error of a job.
 fn job(error: JobError, stop: &Stop) -> Failure {
     match error {
         JobError::Folder(error) => job_folder(&error, stop),
@@ -284,7 +286,7 @@ fn job(error: JobError, stop: &Stop) -> Failure {
     }
 }
 
-/// The failure for an error of a folder of jobs.
+/// Returns the failure for an error of a folder of jobs.
 pub fn job_folder(error: &JobFolderError, stop: &Stop) -> Failure {
     match error {
         JobFolderError::Stopped { .. } => stop.failure(error),
@@ -298,7 +300,7 @@ pub fn job_folder(error: &JobFolderError, stop: &Stop) -> Failure {
     }
 }
 
-/// The failure for an error of an experiment; `resume` is the command that continues the
+/// Returns the failure for an error of an experiment; `resume` is the command that continues the
 /// experiment.
 pub fn experiment(error: ExperimentError, stop: &Stop, resume: &str) -> Failure {
     match error {

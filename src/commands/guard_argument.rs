@@ -15,7 +15,7 @@ pub enum GuardArgument {
     Foresight,
 }
 
-/// The parser of `--guard`.
+/// Returns the parser of `--guard`.
 pub fn guard_parser() -> impl TypedValueParser<Value = GuardArgument> {
     names_and_retired("envelope", "it is only for replays of old recordings; use foresight")
 }
@@ -40,7 +40,7 @@ pub struct ConsentArgument {
 }
 
 impl ConsentArgument {
-    /// The operator's consent, if both arguments are on this command line. Consent without
+    /// Returns the operator's consent, if both arguments are on this command line. Consent without
     /// `--guard box` is refused.
     pub fn with_guard(self, guard: Option<GuardArgument>) -> Result<Option<GuardConsent>, Failure> {
         if self.accept_hard_stop && guard != Some(GuardArgument::Box) {

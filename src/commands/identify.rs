@@ -149,7 +149,7 @@ fn warn(recordings: &Recordings<2>) {
     }
 }
 
-/// The quantities that the fit moves: all but the fixed ones.
+/// Returns the quantities that the fit moves: all but the fixed ones.
 fn unknowns(fixed: &[String]) -> Result<Vec<Unknown>, Failure> {
     let names: Vec<&str> = Unknown::all().map(Unknown::name).collect();
     if let Some(name) = fixed.iter().find(|name| !names.contains(&name.as_str())) {

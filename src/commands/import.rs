@@ -78,7 +78,7 @@ const EXPORT_FAILED: &str = ". If torch.onnx.export failed, as its default expor
     Stable-Baselines3, use Policy.from_sb3 or Policy.from_torch of the Python package, or export with dynamo=False";
 
 impl Arguments {
-    /// Whether an option besides `--action-scale` gives a convention of a foreign file.
+    /// Returns whether an option besides `--action-scale` gives a convention of a foreign file.
     fn gives_conventions(&self) -> bool {
         self.observation.is_some()
             || self.history.is_some()
@@ -86,8 +86,8 @@ impl Arguments {
             || self.clip_observation.is_some()
     }
 
-    /// The conventions of a foreign file, from the options; `None` without `--action-scale`, for a
-    /// file that names its own.
+    /// Returns the conventions of a foreign file, from the options; `None` without
+    /// `--action-scale`, for a file that names its own.
     fn foreign(&self) -> Option<ForeignConventions> {
         let own = || ObservationLayout::own(self.history.unwrap_or_default().into());
         self.action_scale.map(|action_scale_v| ForeignConventions {

@@ -1,5 +1,5 @@
 //! The keys of an operator at a terminal: the space bar requests a stop, and `a` acknowledges a
-//! doubt. With a screen its keys work, too.
+//! doubt. The keys of the screen work, too, if there is one.
 
 use std::os::fd::{AsFd, OwnedFd};
 use std::sync::Arc;
@@ -41,7 +41,7 @@ pub enum CtrlZ {
 }
 
 impl CtrlZ {
-    /// The effect in a command that drives these Qubes.
+    /// Returns the effect in a command that drives these Qubes.
     pub fn with<'d>(devices: impl IntoIterator<Item = &'d DeviceChoice>) -> Self {
         let drives_hardware = devices.into_iter().any(DeviceChoice::is_hardware);
         if drives_hardware { Self::Stops } else { Self::Suspends }
@@ -58,7 +58,7 @@ struct Watched {
 #[derive(Debug)]
 struct Shared {
     stop: Arc<AtomicBool>,
-    /// Whether a question waits for a key: the next key then answers it and requests no stop.
+    /// True while a question waits for a key: the next key then answers it and requests no stop.
     asking: AtomicBool,
     ctrl_z: CtrlZ,
     suspension: Suspension,
@@ -80,13 +80,13 @@ impl Keyboard {
         progress.has_screen().then(|| Self::watch(stop, progress, CtrlZ::Suspends))
     }
 
-    /// A keyboard without a terminal.
+    /// Makes a keyboard without a terminal.
     #[cfg(test)]
     pub fn none() -> Self {
         Self { watched: None, progress: Progress::lines() }
     }
 
-    /// The sentence on keys that the operator needs before anything moves.
+    /// Returns the sentence on keys that the operator needs before anything moves.
     pub fn hint(&self) -> String {
         match self.watched {
             Some(_) if !terminal::is_foreground() => format!(
@@ -108,7 +108,9 @@ impl Keyboard {
         }
         let middle = match homing {
             HomingMethod::Stops => "",
-            HomingMethod::Hand => " Put the arm into its middle: its place then counts as that.",
+            HomingMethod::Hand => {
+                " Put the arm into its middle: its place then counts as the middle."
+            }
         };
         let question = format!(
             "{doubt}.\nLook at the Qube.{middle} Then press a: it is examined, and driven again. \
@@ -201,8 +203,8 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
         let length = match terminal::is_foreground().then(|| terminal::read_input(&mut buffer)) {
             Some(Ok(length @ 1..)) => length,
             Some(Err(Errno::AGAIN | Errno::INTR)) => continue,
-            // In the background, at a Ctrl-D while a shell had the terminal, or after the terminal
-            // was closed, for which SIGHUP stops the program.
+            // The program is in the background, a Ctrl-D came while a shell had the terminal, or
+            // the terminal was closed, for which SIGHUP stops the program.
             None | Some(Ok(0) | Err(_)) => {
                 std::thread::sleep(Duration::from_millis(100));
                 continue;

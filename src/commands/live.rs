@@ -20,9 +20,9 @@ const PORT: u16 = 8765;
 #[derive(Clone, Debug, Default, clap::Args)]
 #[command(next_help_heading = "Watching")]
 pub struct LiveArguments {
-    /// Show what happens while it happens: a page for browsers with a Stop button, and all channels
-    /// for Foxglove and Lichtblick. ADDR is a port, an IP address or IP:PORT; other computers reach
-    /// it only if ADDR is no loopback address [without ADDR: 127.0.0.1:8765]
+    /// Show the work while it happens: a page for browsers with a Stop button, and all channels for
+    /// Foxglove and Lichtblick. ADDR is a port, an IP address or IP:PORT; other computers reach it
+    /// only if ADDR is no loopback address [without ADDR: 127.0.0.1:8765]
     #[arg(
         long,
         value_name = "ADDR",
@@ -60,13 +60,13 @@ fn origin(text: &str) -> Result<String, String> {
 }
 
 impl LiveArguments {
-    /// Whether the option is given.
+    /// Returns whether the option is given.
     pub fn is_asked(&self) -> bool {
         self.live.is_some()
     }
 
-    /// The arguments for the live view of rig number `rig`, from 1, of several. Each rig has its
-    /// own port, counted up from the given one; with port 0 the system chooses each.
+    /// Returns the arguments for the live view of rig number `rig`, from 1, of several. Each rig
+    /// has its own port, counted up from the given one; with port 0 the system chooses each.
     ///
     /// # Errors
     /// The port would be larger than 65 535.
@@ -117,7 +117,7 @@ pub struct Live {
 }
 
 impl Live {
-    /// The viewer of rollouts for the page; `None` without a live view.
+    /// Returns the viewer of rollouts for the page; `None` without a live view.
     pub fn viewer(&self) -> Option<Arc<dyn Viewer>> {
         self.view.as_ref().map(LiveView::viewer)
     }
@@ -127,7 +127,7 @@ impl Live {
         self.view.as_ref().map(LiveView::url).unwrap_or_default()
     }
 
-    /// Shows in words what the command is doing.
+    /// Shows the present activity of the command in words.
     pub fn doing(&self, activity: &str) {
         self.change(|status| activity.clone_into(&mut status.doing));
     }
@@ -252,7 +252,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_may_be_a_port_or_an_ip_alone() {
+    fn an_address_may_be_a_port_or_an_ip_address() {
         assert_eq!(address("9000").unwrap().to_string(), "127.0.0.1:9000");
         assert_eq!(address(":9000").unwrap().to_string(), "127.0.0.1:9000");
         assert_eq!(address("0.0.0.0").unwrap().to_string(), "0.0.0.0:8765");

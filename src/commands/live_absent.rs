@@ -1,6 +1,6 @@
 //! A replacement of the live view in a program that is built without it: the option `--live` is
-//! refused, and the error says how to build the program with it. The types have the names of those
-//! in `live.rs` and the functions that other commands call.
+//! refused, and the error says how to build the program with it. Types and functions that other
+//! commands use have the same names as in `live.rs`.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::experiment::ExperimentEvent;
 use crate::recording::Viewer;
 use crate::session::SessionEvent;
 
-/// The arguments of the live view, which are understood and refused.
+/// The arguments of the live view, which are parsed and refused.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct LiveArguments {
     /// Ask for the live view
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_asks_for_the_live_view_hears_how_to_get_it() {
+    fn the_refusal_of_the_live_view_says_how_to_build_the_program_with_it() {
         let stop = Stop::default();
         assert!(LiveArguments::default().serve("run", &stop).is_ok());
         let asked = LiveArguments { live: Some(String::new()), live_origin: Vec::new() };

@@ -62,7 +62,7 @@ pub struct MethodArguments {
 }
 
 impl MethodArguments {
-    /// The settings of the comparison; `None` if `--strategies` is not given.
+    /// Returns the settings of the comparison; `None` if `--strategies` is not given.
     pub fn settings(&self) -> Option<MethodSettings> {
         (!self.strategies.is_empty()).then(|| MethodSettings {
             methods: self.strategies.clone(),

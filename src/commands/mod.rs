@@ -192,11 +192,12 @@ pub fn rollouts_asked(options: Vec<OsString>) -> Result<(RigSettings, RolloutPla
         Command::Run(arguments) => {
             run::for_external(&arguments).map_err(|failure| failure.to_string())
         }
-        _ => Err("the options are not those of `run`".to_owned()),
+        _ => Err("the options select another command than `run`".to_owned()),
     }
 }
 
-/// Names of the options of the command `run`, without their dashes, and whether each takes a value.
+/// Returns the names of the options of the command `run`, without their dashes, and whether each
+/// takes a value.
 #[must_use]
 pub fn run_options() -> Vec<(String, bool)> {
     let command = command_line::command();
@@ -236,7 +237,7 @@ fn warn_without_realtime(realtime: &RealtimeRefusals) {
     }
 }
 
-/// The number of observer resets as a line for people; empty without a reset.
+/// Returns the number of observer resets as a line for people; empty without a reset.
 fn observer_resets_line(observer_resets: u64) -> String {
     match observer_resets {
         0 => String::new(),
@@ -247,8 +248,8 @@ fn observer_resets_line(observer_resets: u64) -> String {
     }
 }
 
-/// The motor's largest load, a fraction of its continuous rating, as a line for people, with a
-/// warning if it is high; empty if the load is unknown.
+/// Returns the motor's largest load, a fraction of its continuous rating, as a line for people,
+/// with a warning if it is high; empty if the load is unknown.
 fn heat_line(largest_motor_load: Option<f64>) -> String {
     let Some(load) = largest_motor_load else { return String::new() };
     let percent = |load: f64| 100.0 * load;
@@ -259,7 +260,7 @@ fn heat_line(largest_motor_load: Option<f64>) -> String {
     format!("{line}: it is getting hot, and at {:.0} % the arm is braked\n", percent(LARGEST_LOAD))
 }
 
-/// The quietness of balancing as a line for people; empty if nothing balanced.
+/// Returns the quietness of balancing as a line for people; empty if nothing balanced.
 fn quietness_line(quietness: &Quietness) -> String {
     let Some(figures) = quietness.figures() else { return String::new() };
     let buzz = if quietness.is_loud() { ": it buzzes" } else { "" };
@@ -269,7 +270,7 @@ fn quietness_line(quietness: &Quietness) -> String {
     )
 }
 
-/// The timing of all ticks as lines for people.
+/// Returns the timing of all ticks as lines for people.
 fn timing_lines(latencies: &Latencies) -> String {
     let line = |name: &str, summary: LatencySummary| {
         format!(
@@ -288,7 +289,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn heat_is_told_in_words_and_warned_of_when_it_is_large() {
+    fn the_motor_load_is_one_line_with_a_warning_if_it_is_large() {
         assert_eq!(heat_line(None), "");
         assert_eq!(heat_line(Some(0.376)), "motor load at most 38 % of its continuous rating\n");
         let warning = heat_line(Some(0.75));

@@ -4,7 +4,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use crate::learning::Preset;
 
-/// A parser that accepts one of these names and returns its value. Each entry is a name, a
+/// Returns a parser that accepts one of these names and returns its value. Each entry is a name, a
 /// description for the help, and the value.
 pub fn named<T: Clone + Send + Sync + 'static>(
     values: impl Iterator<Item = (&'static str, &'static str, T)>,
@@ -17,10 +17,10 @@ pub fn named<T: Clone + Send + Sync + 'static>(
     })
 }
 
-/// A parser that accepts the name of a preset of trainings.
+/// Returns a parser that accepts the name of a preset of trainings.
 pub fn presets() -> impl TypedValueParser<Value = Preset> {
-    /// Preset that older commands and scripts name. The help does not list it, and the parser
-    /// refuses it with the preset to use instead.
+    /// Retired name of a preset. The help does not list it, and the parser refuses it with the
+    /// preset to use instead.
     const RETIRED: &str = "machine";
     let named = Preset::NAMED.into_iter();
     let offered = named.map(|it| PossibleValue::new(it.name()).help(it.description()));

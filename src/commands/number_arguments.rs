@@ -2,8 +2,8 @@
 
 use clap::builder::TypedValueParser;
 
-/// The parser of seeds that are written to a TOML file: whole numbers of 63 bits, because integers
-/// in TOML are signed.
+/// Returns the parser of seeds that are written to a TOML file: whole numbers of 63 bits, because
+/// integers in TOML are signed.
 pub fn seed_in_toml() -> impl TypedValueParser<Value = u64> {
     clap::value_parser!(u64).range(..=i64::MAX as u64)
 }

@@ -7,10 +7,10 @@ use super::failures;
 use crate::policy::Policy;
 use crate::policy::onnx::to_onnx;
 
-/// The contents of an ONNX file with the network of the policy in `file`.
+/// Returns the contents of an ONNX file with the network of the policy in `file`.
 ///
 /// # Errors
-/// The file is no policy, or a policy without a network.
+/// The file cannot be read, is no policy, or is a policy without a network.
 pub fn onnx_model(file: &Path) -> Result<Vec<u8>, Failure> {
     match Policy::load(file).map_err(|error| failures::policy(&error))? {
         Policy::Network(policy) => Ok(to_onnx(&policy)),

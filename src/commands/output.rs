@@ -8,7 +8,7 @@ use serde_json::json;
 use super::exit::Failure;
 use super::printable::{printable, printable_json};
 
-/// Prints results to stdout, as text for people or as one JSON object for scripts.
+/// A printer of results on stdout, as text for people or as one JSON object for scripts.
 #[derive(Debug)]
 pub struct Output {
     json: bool,
@@ -17,12 +17,12 @@ pub struct Output {
 }
 
 impl Output {
-    /// An output for people, or with `json` for scripts.
+    /// Makes an output for people, or with `json` for scripts.
     pub fn new(json: bool) -> Self {
         Self { json, printed: Cell::new(false), error: RefCell::new(None) }
     }
 
-    /// Whether results are printed for scripts, as JSON.
+    /// Returns whether results are printed for scripts, as JSON.
     pub fn is_for_scripts(&self) -> bool {
         self.json
     }

@@ -11,8 +11,8 @@ use parquet::schema::types::{Type, TypePtr};
 
 use crate::recording::{COLUMNS, Field, Recording, table_rows};
 
-/// A recording as the contents of a Parquet file, with the columns and rows of its CSV table. A
-/// field without a value is null.
+/// Returns a recording as the contents of a Parquet file, with the columns and rows of its CSV
+/// table. A field without a value is null.
 ///
 /// # Errors
 /// The library that writes Parquet fails.
@@ -22,11 +22,11 @@ pub fn parquet_table(recording: &Recording) -> Result<Vec<u8>> {
     whole_file(first, &rows)
 }
 
-/// The file with these rows. Each field of `kinds` has the kind of its column.
+/// Returns the file with these rows. Each field of `kinds` has the kind of its column.
 fn whole_file(kinds: &[Field], rows: &[[Field; COLUMNS.len()]]) -> Result<Vec<u8>> {
     let columns = COLUMNS.iter().enumerate().map(|(index, name)| {
-        // A recording without a tick has no row that shows the kinds of its columns; any kind will
-        // do.
+        // A recording without a tick has no row that shows the kinds of its columns; any kind is
+        // valid.
         column(name, kinds.get(index).copied().unwrap_or(Field::Number(None)))
     });
     let fields = columns.collect::<Result<Vec<TypePtr>>>()?;
@@ -66,7 +66,7 @@ fn whole_file(kinds: &[Field], rows: &[[Field; COLUMNS.len()]]) -> Result<Vec<u8
     Ok(file)
 }
 
-/// The schema of the column of this name, for fields of the same kind as `field`.
+/// Returns the schema of the column of this name, for fields of the same kind as `field`.
 fn column(name: &str, field: Field) -> Result<TypePtr> {
     let (physical, converted) = match field {
         Field::Number(_) => (Physical::DOUBLE, ConvertedType::NONE),
@@ -98,7 +98,8 @@ fn single(field: Field) -> Option<f32> {
     }
 }
 
-/// A whole number as the bits that Parquet stores; the bits of an unsigned number stay as they are.
+/// Returns a whole number as the bits that Parquet stores; the bits of an unsigned number stay as
+/// they are.
 fn whole(field: Field) -> Option<i64> {
     match field {
         Field::Whole(value) => value,

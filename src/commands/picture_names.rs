@@ -1,8 +1,8 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// The names of the files' pictures, without their endings; no two are the same. Where two files
-/// share a name, the place of each file in the list, from 0, stands in front of its name.
+/// Returns the names of the files' pictures, without their endings; no two are the same. Where two
+/// files share a name, the place of each file in the list, from 0, stands in front of its name.
 pub fn picture_names(files: &[&Path]) -> Vec<String> {
     let name = |file: &&Path| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let names: Vec<String> = files.iter().map(name).collect();

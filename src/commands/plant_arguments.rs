@@ -41,7 +41,7 @@ struct PlantsFile {
 }
 
 impl PlantArguments {
-    /// Whether an option other than `--vary` and `--plants` describes an emulated Qube.
+    /// Returns whether an option other than `--vary` and `--plants` describes an emulated Qube.
     pub fn describe_qube(&self) -> bool {
         self.emulated.are_given()
     }
@@ -59,8 +59,8 @@ impl PlantArguments {
         }
     }
 
-    /// The emulated specimens of a plant on which policies run: those in the file of `--plants`, or
-    /// the one that the other options describe.
+    /// Returns the emulated specimens of a plant on which policies run: the specimens in the file of
+    /// `--plants`, or the one that the other options describe.
     pub fn plants(&self, plant: &PlantModel) -> Result<Vec<Plant>, Failure> {
         let Some(path) = &self.plants else {
             let emulated = self.emulated.of_plant(plant)?;
@@ -80,7 +80,7 @@ impl PlantArguments {
     }
 }
 
-/// The specimen of a plant that an entry of the file describes.
+/// Returns the specimen of a plant that an entry of the file describes.
 fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant, Failure> {
     let wrong = |reason: String| {
         Failure::usage(format!("{}: plant {}: {reason}", path.display(), entry.name))

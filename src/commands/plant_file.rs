@@ -14,12 +14,12 @@ pub struct PlantArgument {
 }
 
 impl PlantArgument {
-    /// The plant that the file of `--plant` describes; `None` without the option.
+    /// Returns the plant that the file of `--plant` describes; `None` without the option.
     pub fn given(&self) -> Result<Option<PlantModel>, Failure> {
         self.plant.as_deref().map(load).transpose()
     }
 
-    /// The plant that the file of `--plant` describes; without the option the Qube.
+    /// Returns the plant that the file of `--plant` describes; without the option the Qube.
     pub fn plant(&self) -> Result<PlantModel, Failure> {
         Ok(self.given()?.unwrap_or(PlantModel::QUBE))
     }

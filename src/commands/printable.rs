@@ -42,8 +42,8 @@ pub fn printable_json(line: &str) -> Cow<'_, str> {
 /// most 20.
 const MAX_DIGITS: usize = 24;
 
-/// The text with each number of more than `MAX_DIGITS` digits in scientific notation: 1 with 300
-/// zeros becomes `1e300`.
+/// Returns the text with each number of more than `MAX_DIGITS` digits in scientific notation: 1
+/// with 300 zeros becomes `1e300`.
 pub fn with_short_numbers(text: &str) -> String {
     let mut short = String::with_capacity(text.len());
     let mut rest = text;
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn long_numbers_are_short_and_others_as_they_are() {
+    fn long_numbers_become_short_and_others_stay() {
         let message = format!("c.toml, line 2: safety_box.theta = {}: give at most 2.3.", 1e300);
         let short = "c.toml, line 2: safety_box.theta = 1e300: give at most 2.3.";
         assert_eq!(with_short_numbers(&message), short);
@@ -120,14 +120,14 @@ mod tests {
     }
 
     #[test]
-    fn lines_are_ours_alone() {
+    fn line_ends_stay_in_tables_and_are_escaped_in_a_sentence() {
         assert_eq!(printable("one\n\ttwo"), "one\n\ttwo");
         assert_eq!(one_line("name\nrollout 0: success"), "name\\nrollout 0: success");
         assert_eq!(printable("θ̇ 20 °"), "θ̇ 20 °");
     }
 
     #[test]
-    fn json_means_the_same_afterwards() {
+    fn escaped_json_has_the_same_value() {
         let line = serde_json::to_string(&HOSTILE).unwrap();
         let shown = printable_json(&line);
         assert!(!shown.contains(is_obeyed), "{shown:?}");

@@ -12,13 +12,14 @@ pub const IDEAL: &str = "ideal";
 /// Name of the profile of a real Qube that is part of the program.
 const LAB: &str = "lab";
 
-/// The model of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a profile file.
+/// Returns the model of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a
+/// profile file.
 pub fn named(name: &Path, plant: &PlantModel) -> Result<QubeModel, Failure> {
     Ok(named_profile(name, plant)?.model())
 }
 
-/// The profile of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a profile
-/// file.
+/// Returns the profile of a specimen of a plant, by its name: `ideal`, `lab`, or the path of a
+/// profile file.
 pub fn named_profile(name: &Path, plant: &PlantModel) -> Result<Profile, Failure> {
     Ok(match name.to_str() {
         Some(IDEAL) => Profile::exact(IDEAL, &plant.nominal()),
@@ -38,8 +39,8 @@ pub fn named_profile(name: &Path, plant: &PlantModel) -> Result<Profile, Failure
     })
 }
 
-/// The profile with this name, of a specimen of any plant: `lab`, or the path of a profile file.
-/// `None` for `ideal`, which means the nominal specimen of each plant.
+/// Returns the profile with this name, of a specimen of any plant: `lab`, or the path of a profile
+/// file. `None` for `ideal`, which means the nominal specimen of each plant.
 pub fn named_of_any_plant(name: &Path) -> Result<Option<Profile>, Failure> {
     match name.to_str() {
         Some(IDEAL) => Ok(None),
@@ -48,7 +49,7 @@ pub fn named_of_any_plant(name: &Path) -> Result<Option<Profile>, Failure> {
     }
 }
 
-/// A note on a profile whose fit `identify` doubted; `None` for any other.
+/// Returns a note on a profile whose fit `identify` doubted; `None` for any other.
 pub fn doubts_note(profile: &Profile) -> Option<String> {
     let doubts = profile.provenance.as_ref().map_or(&[][..], |it| &it.doubts);
     let in_words = |name: &String| {
@@ -81,11 +82,11 @@ pub fn check_plant(name: &Path, profile: &Profile, plant: &PlantModel) -> Result
     ))
 }
 
-/// The end of an error's sentence where the names `ideal` and `lab` are accepted, too.
+/// End of an error's sentence where the names `ideal` and `lab` are accepted, too.
 const OR_NAMES: &str = ", or one of the names ideal and lab";
 
-/// Reads a profile file of a specimen of any plant; `names` ends the sentence that says what to
-/// give.
+/// Reads a profile file of a specimen of any plant; `names` ends the sentence that says which file
+/// to give.
 fn read(path: &Path, names: &str) -> Result<Profile, Failure> {
     let text = read_text(path, SETTINGS_BYTES).map_err(|error| {
         let shown = path.display();

@@ -6,8 +6,9 @@ use super::printable::print_message;
 use super::stop::Stop;
 use super::terminal;
 
-/// Asks a question and returns the line that was typed after it, without its end. `None`: a stop
-/// was requested, or the input has ended. Keys that were typed before the question are discarded.
+/// Asks a question and returns the line that was typed after it, without its end; `None` if a stop
+/// was requested, or if the input has ended or cannot be read. Keys that were typed before the
+/// question are discarded.
 pub fn ask(question: &str, stop: &Stop) -> Option<String> {
     terminal::discard_typed_keys();
     print_message(&format!("\n{question}"));
@@ -29,8 +30,9 @@ pub fn ask(question: &str, stop: &Stop) -> Option<String> {
     None
 }
 
-/// Asks a question that is answered with `y` or `n`, again after any other answer. An empty answer
-/// counts as `at_enter`, if there is such a value. `None` as for [`ask`].
+/// Asks a question whose answer begins with `y` or `n`, in either case, and repeats it after any
+/// other answer. An empty answer counts as `at_enter`, if there is such a value. Returns `None` in
+/// the same cases as [`ask`].
 pub fn ask_choice<T>(
     question: &str,
     stop: &Stop,

@@ -66,8 +66,8 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether each recording's voltages are to be simulated: a profile and pictures ask for it,
-    /// too.
+    /// Returns whether each recording's voltages are to be simulated: a profile and pictures
+    /// require this, too.
     fn simulates(&self) -> bool {
         self.simulate || self.profile.is_some() || self.plot.is_some()
     }
@@ -110,7 +110,7 @@ struct Report {
 }
 
 impl Report {
-    /// The report for people, a line for each finding.
+    /// Returns the report for people, a line for each finding.
     fn text(&self) -> String {
         let mut lines = Vec::new();
         if let (Some(recorded), Some(recomputed)) = (self.return_recorded, self.return_recomputed) {
@@ -271,7 +271,7 @@ fn replay_file(
     }
 }
 
-/// Draws the motion for `--animate` and simulates it for `--simulate`.
+/// Draws the motion for `--animate`, and simulates it if [`Arguments::simulates`].
 fn draw_and_simulate(
     arguments: &Arguments,
     profile: Option<&Profile>,
@@ -307,13 +307,14 @@ fn is_csv(path: &Path) -> bool {
     has_ending(path, "csv")
 }
 
-/// Whether the name of a file ends with this extension, in letters of either case.
+/// Returns whether the name of a file ends with this extension, in letters of either case.
 fn has_ending(path: &Path, ending: &str) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(ending))
 }
 
 /// Feeds the measurements of a recording to the tick again, and enters the comparison into
-/// `report`. Returns the problem of a decision that differs, or of a recording with missing parts.
+/// `report`. Returns the problem of a decision, an ending or its reason that differs, or of a
+/// recording with missing parts.
 ///
 /// # Errors
 /// The recording cannot be replayed.
@@ -338,17 +339,17 @@ fn rerun_recording(recording: &Recording, report: &mut Report) -> Result<Option<
         .map(|message| Problem::data_lost(one_line(&format!("{path}: {message}")))))
 }
 
-/// Describes the defects of a recording, if any.
+/// Describes the first defect of a recording or its replay, if any.
 fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
-    if let Some(difference) = &rerun.first_difference {
-        let (recorded, recomputed) = (&difference.recorded, &difference.recomputed);
-        let what = if recorded.voltage_mv == recomputed.voltage_mv {
+    if let Some(first) = &rerun.first_difference {
+        let (recorded, recomputed) = (&first.recorded, &first.recomputed);
+        let difference = if recorded.voltage_mv == recomputed.voltage_mv {
             "the voltage is the same, but phase, state or wanted voltage are not".to_owned()
         } else {
             format!("recorded {} mV, recomputed {} mV", recorded.voltage_mv, recomputed.voltage_mv)
         };
         return Some(format!(
-            "{} of {} actions differ, first in tick {}: {what}",
+            "{} of {} actions differ, first in tick {}: {difference}",
             rerun.actions_different, rerun.actions_compared, recorded.tick,
         ));
     }
@@ -391,7 +392,7 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
     }
 }
 
-/// The prediction for which foresight ended a rollout, in a sentence for people.
+/// Returns the prediction for which foresight ended a rollout, in a sentence for people.
 fn foreseen_text(foreseen: &Foreseen) -> String {
     let Foreseen { identified, particle, beyond_rad } = foreseen;
     let whose =
@@ -429,8 +430,8 @@ fn simulate(
     Ok(())
 }
 
-/// The error of a simulation in open loop, with the name of the simulated specimen; `is_chosen` is
-/// whether the user has named the specimen.
+/// Returns the error of a simulation in open loop, with the name of the simulated specimen;
+/// `is_chosen` says whether the user has named the specimen.
 fn simulation_text(name: &str, error: SimulationError, is_chosen: bool) -> String {
     let whole = angles_text(error.whole);
     let mut text = format!("the simulation of {name} in open loop is off by {whole}");
@@ -451,7 +452,8 @@ fn angles_text(AngleError { theta_rad, alpha_rad }: AngleError) -> String {
     format!("{theta_rad:.3} rad in theta and {alpha_rad:.3} rad in alpha (RMS)")
 }
 
-/// The RMS error over several recordings, all with the same weight; `None` without a recording.
+/// Returns the RMS error over several recordings, all with the same weight; `None` without a
+/// recording.
 fn overall(errors: &[Rmse]) -> Option<Rmse> {
     let mean = |angle: fn(&Rmse) -> f64| {
         let squares: f64 = errors.iter().map(|rmse| angle(rmse).powi(2)).sum();
@@ -468,7 +470,7 @@ fn recording_problem(error: &RecordingError) -> Problem {
     if is_bad_input(error) { Problem::usage(message) } else { Problem::failed(message) }
 }
 
-/// The failure for an error of a recording that the user named: a file that cannot be
+/// Returns the failure for an error of a recording that the user named: a file that cannot be
 /// created, is missing, unreadable or damaged is bad input; other errors, such as a full disk, are
 /// failures.
 pub fn recording_failure(error: &RecordingError) -> Failure {
@@ -476,7 +478,8 @@ pub fn recording_failure(error: &RecordingError) -> Failure {
     failure(message)
 }
 
-/// Whether the error lies in the place or the content of the file; errors of writing it do not.
+/// Returns whether the error lies in the place or the content of the file; errors of writing it do
+/// not.
 fn is_bad_input(error: &RecordingError) -> bool {
     match error {
         RecordingError::Create { .. }

@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     lost.map_or(Ok(()), Err)
 }
 
-/// The folder of the session or experiment that the page is about; `None` for recordings.
+/// Returns the folder of the session or experiment that the page is about; `None` for recordings.
 fn folder_asked(arguments: &Arguments) -> Result<Option<&Path>, Failure> {
     let folders = arguments.paths.iter().filter(|path| path.is_dir()).count();
     match &arguments.paths[..] {
@@ -99,14 +99,14 @@ fn folder_asked(arguments: &Arguments) -> Result<Option<&Path>, Failure> {
     }
 }
 
-/// The place of the page, checked before the work: the path of `--out`, else a path that follows
-/// from the folder or from the first recording, at which only a report is replaced.
+/// Returns the place of the page, checked before the work: the path of `--out`, else a path that
+/// follows from the folder or from the first recording, at which only a report is replaced.
 fn place(arguments: &Arguments, folder: Option<&Path>) -> Result<(PathBuf, OutputFile), Failure> {
     if let Some(path) = &arguments.out {
         let existing = Existing::replaced_if(arguments.force);
         return Ok((path.clone(), OutputFile::prepare(path, existing)?));
     }
-    // A missing recording is named before the folder that it would give its page.
+    // A missing recording is reported rather than the missing folder of its page.
     if let Some(missing) = arguments.paths.iter().find(|path| !path.exists()) {
         read(missing).map_err(|error| recording_failure(&error))?;
     }
@@ -191,8 +191,8 @@ fn page_of_experiment(
     results.page(experiment, &commands)
 }
 
-/// The page of the finished work of an experiment. Nothing is driven: the settings of an emulated
-/// rig are there only because [`Experiment::new`] takes some.
+/// Returns the page of the finished work of an experiment. Nothing is driven: the settings of an
+/// emulated rig are there only because [`Experiment::new`] takes some.
 fn of_experiment(folder: &Path) -> Result<String, Failure> {
     let folder = ExperimentFolder::open(folder).map_err(Failure::usage)?;
     let settings = ExperimentSettings::load(&folder.settings_path()).map_err(Failure::usage)?;
@@ -203,7 +203,7 @@ fn of_experiment(folder: &Path) -> Result<String, Failure> {
     page_of_experiment(&results, &experiment).map_err(Failure::failed)
 }
 
-/// The page of a session, and the failure to report if some of its data cannot be read.
+/// Returns the page of a session, and the failure to report if some of its data cannot be read.
 fn of_session(folder: &Path) -> Result<(String, Option<Failure>), Failure> {
     let source = SessionSource::read(&MachineDisk, folder).map_err(failure)?;
     let name = folder.canonicalize().ok();
@@ -225,7 +225,7 @@ fn of_session(folder: &Path) -> Result<(String, Option<Failure>), Failure> {
     Ok((page, lost.or(lost_policy)))
 }
 
-/// The page of some recordings, and the failure to report if one of them lacks a part.
+/// Returns the page of some recordings, and the failure to report if one of them lacks a part.
 fn of_recordings(
     files: &[PathBuf],
     profile: Option<&Path>,
@@ -256,9 +256,9 @@ fn of_recordings(
     Ok((page, lost))
 }
 
-/// The commands that use and repeat a session, each with its purpose. Those that need a lost policy
-/// or changed settings are left out, and so is the repetition of a session that several rigs share,
-/// because its settings alone do not begin another.
+/// Returns the commands that use and repeat a session, each with its purpose. Those that need a
+/// lost policy or changed settings are left out, and so is the repetition of a session that several
+/// rigs share, because its settings alone do not begin another.
 fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, String)> {
     let paths = SessionPaths::new(folder);
     let root = path_word(folder);
@@ -297,7 +297,7 @@ fn session_commands(source: &SessionSource, folder: &Path) -> Vec<(String, Strin
     commands
 }
 
-/// The command that runs a policy on an emulated plant, with its purpose.
+/// Returns the command that runs a policy on an emulated plant, with its purpose.
 fn run_command(policy: &Path, plant: &PlantModel) -> (String, String) {
     let run = format!("qube-hil run --policy {}", path_word(policy));
     if plant.is_qube() {
@@ -315,8 +315,8 @@ fn run_command(policy: &Path, plant: &PlantModel) -> (String, String) {
     (purpose, format!("{run} --plant FILE"))
 }
 
-/// A folder beside a session's for its repetition: the session's with `-again` after its name,
-/// however its path is spelled (`logs/monday/` or `.`).
+/// Returns the folder for the repetition of a session: the path of the session's folder with
+/// `-again` after its name, also if the path ends with `/` or is `.`.
 fn again_beside(folder: &Path) -> PathBuf {
     let plain: PathBuf = folder.components().collect();
     let named = if plain.file_name().is_some() { None } else { plain.canonicalize().ok() };
@@ -325,7 +325,7 @@ fn again_beside(folder: &Path) -> PathBuf {
     again.into()
 }
 
-/// A path as one word for a shell, in quotes if it needs them.
+/// Returns a path as one word for a shell, in quotes if it needs them.
 fn path_word(path: &Path) -> String {
     quoted(&path.to_string_lossy())
 }
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn a_repetition_goes_beside_its_session_however_the_path_is_spelled() {
+    fn a_repetition_lies_beside_its_session_for_every_spelling_of_the_path() {
         for spelling in ["logs/monday", "logs/monday/", "logs//monday/."] {
             assert_eq!(again_beside(Path::new(spelling)), Path::new("logs/monday-again"));
         }

@@ -3,18 +3,18 @@
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
-/// A parser of the names of an enum, which also recognises the retired word `gone`: it refuses the
-/// word with the message `why`, which names a replacement.
+/// Returns a parser of the names of an enum, which also recognises the word `retired`: it refuses
+/// the word with the message `why`, which names a replacement.
 pub fn names_and_retired<T>(
-    gone: &'static str,
+    retired: &'static str,
     why: &'static str,
 ) -> impl TypedValueParser<Value = T>
 where
     T: ValueEnum + Clone + Send + Sync + 'static,
 {
     let names = T::value_variants().iter().filter_map(ValueEnum::to_possible_value);
-    let hidden = PossibleValue::new(gone).hide(true);
+    let hidden = PossibleValue::new(retired).hide(true);
     PossibleValuesParser::new(names.chain([hidden])).try_map(move |name| {
-        if name == gone { Err(why.to_owned()) } else { T::from_str(&name, false) }
+        if name == retired { Err(why.to_owned()) } else { T::from_str(&name, false) }
     })
 }

@@ -64,28 +64,28 @@ fn fraction(text: &str) -> Result<f64, String> {
 }
 
 impl RigArguments {
-    /// Number of Qubes that `--device` or `--qube` names; 1 if neither names one.
+    /// Returns the number of Qubes that `--device` or `--qube` names; 1 if neither names one.
     pub fn count(&self) -> usize {
         self.device.len().max(self.qube.len()).max(1)
     }
 
-    /// Whether `--device` or `--qube` names a Qube.
+    /// Returns whether `--device` or `--qube` names a Qube.
     pub fn are_named(&self) -> bool {
         !self.device.is_empty() || !self.qube.is_empty()
     }
 
-    /// The policies that `--rig-policy` asks for; `None` without the option.
+    /// Returns the policies that `--rig-policy` selects; `None` without the option.
     pub fn rig_policy(&self) -> Option<RigPolicy> {
         self.rig_policy
     }
 
-    /// The clock that `--clock` names, if any.
+    /// Returns the clock that `--clock` names, if any.
     pub fn clock(&self) -> Option<ClockChoice> {
         self.timed_plant.clock()
     }
 
-    /// Largest deviation of an emulated Qube's values among several Qubes, as a fraction of each
-    /// value.
+    /// Returns the largest deviation of an emulated Qube's values among several Qubes, as a
+    /// fraction of each value.
     pub fn vary(&self) -> f64 {
         self.vary.unwrap_or(VARY)
     }
@@ -105,7 +105,7 @@ impl RigArguments {
         self.choose(1).map(|mut chosen| chosen.remove(0))
     }
 
-    /// Selects `count` Qubes: those that are named, or emulated ones if none is.
+    /// Selects `count` Qubes: the named ones, or emulated ones if none is named.
     pub fn choose(&self, count: usize) -> Result<Vec<ChosenDevice>, Failure> {
         let (devices, files) = (self.device.len(), self.qube.len());
         if count > RigSessions::MOST as usize {
@@ -161,7 +161,7 @@ fn refuse_duplicates(chosen: &[ChosenDevice]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Name of a Qube's device, as --device takes it.
+/// Returns the name of a Qube's device as `--device` accepts it.
 pub fn name_of(device: &ChosenDevice) -> String {
     device.choice.name().unwrap_or_else(|| EMULATED.to_owned())
 }

@@ -112,7 +112,7 @@ enum ExciteArgument {
     SlowChirp,
     /// Voltages held for 0.05 to 0.2 s in a pseudo-random order
     Steps,
-    /// Pushes that raise the pendulum to some 75 degrees and calm it again
+    /// Pushes that raise the pendulum to about 75 degrees and calm it again
     Pushes,
 }
 
@@ -131,8 +131,8 @@ fn volts(text: &str) -> Result<f64, String> {
     between(text, 0.1, 3.0)
 }
 
-/// Runs the rollouts and prints their results, whatever ends them, unless the command was refused
-/// before the first rollout ended.
+/// Runs the rollouts and prints their results, also after a failure or a stop, unless the command
+/// was refused before the first rollout ended.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let controller = RunController::chosen(&arguments)?;
     let stop = Stop::on_signals()?;
@@ -140,7 +140,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let device = arguments.device.choose()?;
     controller.check_plant(&device.plant)?;
     let profile = device.profile.clone();
-    let (settings, plan) = asked(&arguments, &device)?;
+    let (settings, plan) = settings_and_plan(&arguments, &device)?;
     let folder = OutputFolder::make(arguments.out.as_deref(), "run")?;
     let _lock = folder.lock()?;
     folder.check_for_recordings(arguments.rollouts.into())?;
@@ -195,8 +195,8 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     ended
 }
 
-/// The settings of the rig and the plan of the rollouts, without the controller.
-fn asked(
+/// Returns the settings of the rig and the plan of the rollouts, without the controller.
+fn settings_and_plan(
     arguments: &Arguments,
     device: &ChosenDevice,
 ) -> Result<(RigSettings, RolloutPlan), Failure> {
@@ -217,7 +217,7 @@ fn asked(
     Ok((settings, plan))
 }
 
-/// The settings of the rig and the plan of the rollouts for a controller that the caller brings.
+/// Returns the settings of the rig and the plan of the rollouts for a controller of the caller.
 pub fn for_external(arguments: &Arguments) -> Result<(RigSettings, RolloutPlan), Failure> {
-    asked(arguments, &arguments.device.choose()?)
+    settings_and_plan(arguments, &arguments.device.choose()?)
 }

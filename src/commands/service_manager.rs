@@ -9,8 +9,8 @@ pub fn ready() {
 }
 
 /// Reports that the session makes progress. The session calls this function at each of its events,
-/// and its executor while it waits for workers. No separate thread reports, so that a session that
-/// hangs sends no report and systemd restarts it.
+/// and its executor while it waits for workers. No separate thread reports: once every session of
+/// the program hangs, no report comes, and systemd restarts the program.
 pub fn alive() {
     notify(NotifyState::Watchdog);
 }

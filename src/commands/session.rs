@@ -1,4 +1,4 @@
-//! `session`: its arguments, and the way to the session of one Qube or of several.
+//! The command `session`: its arguments, and the choice between one Qube and several.
 
 mod attended;
 mod notes;
@@ -38,13 +38,13 @@ use crate::session::SessionSettings;
 /// the Qube as it was identified; if its policy does not succeed, the recordings so far improve the
 /// identification, and the search proposes the next psi: from the fourth candidate on by a
 /// surrogate of the return over psi. The best policy is verified. The session ends when the
-/// verified policy succeeds in each rollout and one more candidate is estimated to gain less than 1
-/// %, or at the largest number of candidates (--candidates). A Qube that cannot be identified is
-/// treated as an unknown one, as --method bayrn does from the beginning: then psi contains means
-/// and standard deviations of masses and lengths (--config can choose other quantities). Without
-/// arguments this runs on an emulated Qube that differs from the nominal one as a real Qube does,
-/// and takes some minutes. --resume continues an interrupted session without losing or repeating a
-/// finished rollout.
+/// verified policy succeeds quietly in each rollout and one more candidate is estimated to gain
+/// less than 1 %, or at the largest number of candidates (--candidates). A Qube that cannot be
+/// identified is treated as an unknown one, as --method bayrn does from the beginning: then psi
+/// contains means and standard deviations of masses and lengths (--config can choose other
+/// quantities). Without arguments this runs on an emulated Qube that differs from the nominal one
+/// as a real Qube does, and takes some minutes. --resume continues an interrupted session without
+/// losing or repeating a finished rollout.
 #[derive(Debug, clap::Args)]
 #[command(
     mut_arg("estimator", |it| also_by_config(it, "filter")),
@@ -75,7 +75,7 @@ use crate::session::SessionSettings;
     in addition to the delay")]
 pub struct Arguments {
     /// Extent of the session: `quick` takes minutes, `thesis` is the published extent and budget.
-    /// The entry `preset` of --config is that of a training: a `quick` session trains with `robust`
+    /// The entry `preset` of --config is a training's: a `quick` session trains with `robust`
     #[arg(long, value_enum, default_value_t = SessionPreset::Quick, conflicts_with = "resume")]
     preset: SessionPreset,
 
@@ -150,11 +150,11 @@ pub struct Arguments {
     screen: ScreenArgument,
 }
 
-/// The help of an option with this default that the file of `--config` may replace, too.
+/// Returns the help of an option with this default that the file of `--config` may replace, too.
 fn also_by_config(argument: clap::Arg, default: &str) -> clap::Arg {
     let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
-    let told = format!("[default: {default}]");
-    argument.help(help.replace(&told, &format!("[default: {default}, or as --config says]")))
+    let shown = format!("[default: {default}]");
+    argument.help(help.replace(&shown, &format!("[default: {default}, or as --config says]")))
 }
 
 /// The extent of a session.
@@ -169,10 +169,10 @@ pub enum SessionPreset {
 }
 
 impl SessionPreset {
-    /// The settings of a session of this extent on a plant. In the thesis's own session (extent
-    /// `thesis`, with the method `bayrn` or without one) the emulated Qube is the nominal one. In
-    /// every other session it differs from the nominal one as a real Qube does: it is `lab`, or for
-    /// another plant a specimen that differs in the same proportions.
+    /// Returns the settings of a session of this extent on a plant. In the thesis's own session
+    /// (extent `thesis`, with the method `bayrn` or without one) the emulated Qube is the nominal
+    /// one. In every other session it differs from the nominal one as a real Qube does: it is
+    /// `lab`, or for another plant a specimen that differs in the same proportions.
     pub fn settings(self, plant: &PlantModel, method: Option<SessionMethod>) -> SessionSettings {
         let is_published =
             self == Self::Thesis && method.is_none_or(|it| it == SessionMethod::Bayrn);

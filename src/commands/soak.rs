@@ -96,12 +96,12 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let mut ended = soaked.soak(&arguments, &policy.to_bytes(), &device, &folder, &stop);
     drop(keyboard);
     if stop.requested() {
-        let told = "stopped before the hours were over";
+        let stopped = "stopped before the hours were over";
         ended = Err(match ended {
-            Err(failure) if !failure.is_stop() => failure.preceded_by(&format!("{told}; but")),
+            Err(failure) if !failure.is_stop() => failure.preceded_by(&format!("{stopped}; but")),
             Err(_) | Ok(()) => match soaked.verdict() {
-                Err(failure) => failure.preceded_by(&format!("{told}; but")),
-                Ok(()) => stop.failure(told),
+                Err(failure) => failure.preceded_by(&format!("{stopped}; but")),
+                Ok(()) => stop.failure(stopped),
             },
         });
     }
@@ -117,7 +117,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     ended
 }
 
-/// Folder of the recordings; dropping it deletes it unless the recordings are kept.
+/// Folder of the recordings. Dropping the value deletes the folder, unless the recordings are kept.
 struct Folder {
     path: PathBuf,
     keeps: bool,
@@ -198,7 +198,7 @@ impl Soaked {
         let ticks_wanted = (arguments.hours * 3600e9 / CONTROL_PERIOD_NS as f64).ceil() as u64;
         let began = Instant::now();
         // Time and tick of the last line of progress.
-        let mut told = (began, 0);
+        let mut last_line = (began, 0);
         let mut not_begun = NotBegun::default();
         while self.ticks < ticks_wanted && !stop.requested() {
             let rollout = self.rollouts as u32;
@@ -221,8 +221,10 @@ impl Soaked {
             self.add(&read(&path).map_err(|error| failures::recording(&error))?);
             folder.delete_unless_kept(&path)?;
             let ticks = self.ticks;
-            if told.0.elapsed() >= LINE_INTERVAL && (ticks - told.1) * LINES >= ticks_wanted {
-                told = (Instant::now(), ticks);
+            if last_line.0.elapsed() >= LINE_INTERVAL
+                && (ticks - last_line.1) * LINES >= ticks_wanted
+            {
+                last_line = (Instant::now(), ticks);
                 let to_do = ticks_wanted.saturating_sub(ticks);
                 let left = left_in_words(time_left(began.elapsed(), ticks as f64, to_do as f64));
                 print_message(&format!("{:.2} h of {} h{left}", self.hours(), arguments.hours));
@@ -238,8 +240,8 @@ impl Soaked {
         self.rollouts += 1;
         self.ticks += recording.ticks.len() as u64;
         let numbered = recording.ticks.last().map_or(0, |last| u64::from(last.tick) + 1);
-        let said_lost = recording.outcome.as_ref().map_or(0, |outcome| outcome.records_lost);
-        self.lost += said_lost.max(numbered - recording.ticks.len() as u64);
+        let reported_lost = recording.outcome.as_ref().map_or(0, |outcome| outcome.records_lost);
+        self.lost += reported_lost.max(numbered - recording.ticks.len() as u64);
         let missed = recording.outcome.as_ref().map_or(0, |outcome| outcome.missed_deadlines);
         self.missed_deadlines += u64::from(missed);
         let latest = recording.ticks.iter().map(|tick| tick.lateness_ns).max();

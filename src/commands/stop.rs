@@ -48,8 +48,8 @@ impl Stop {
                 interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
             }
             let answer = *answered.lock().unwrap_or_else(PoisonError::into_inner);
-            // A terminal that is halted, or a full pipe, may take no text. The second Ctrl-C must
-            // be heard all the same.
+            // Printing to a halted terminal or a full pipe may block, and must not delay the second
+            // Ctrl-C.
             let say = move || {
                 print_message(&format!("\n{answer} (Ctrl-C again ends the program at once)"));
             };
@@ -69,7 +69,7 @@ impl Stop {
         *self.answer.lock().unwrap_or_else(PoisonError::into_inner) = answer;
     }
 
-    /// Whether a stop was requested.
+    /// Returns whether a stop was requested.
     pub fn requested(&self) -> bool {
         self.flag.load(Ordering::Relaxed)
     }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use signal_hook::consts::SIGTSTP;
 
-/// Whether the signal has come since the last [`Suspension::was_asked`].
+/// True if the signal has come since the last [`Suspension::was_asked`].
 static ASKED: AtomicBool = AtomicBool::new(false);
 
 /// A handler of SIGTSTP, which replaces the system's own reaction until it is dropped.
@@ -12,22 +12,22 @@ static ASKED: AtomicBool = AtomicBool::new(false);
 pub struct Suspension(());
 
 impl Suspension {
-    /// Takes the signal from now on.
+    /// Installs the handler of the signal.
     pub fn take_over() -> Self {
         ASKED.store(false, Ordering::Relaxed);
         take_signal();
         Self(())
     }
 
-    /// Whether the signal has come since the last call.
+    /// Returns whether the signal has come since the last call.
     pub fn was_asked(&self) -> bool {
         ASKED.swap(false, Ordering::Relaxed)
     }
 
     /// Suspends the program as the system does by itself, and returns when it is continued. Where
     /// no shell could continue it, as in a terminal of its own, the system ignores the signal, and
-    /// this function returns at once. (`emulate_default_handler` of signal-hook suspends it there,
-    /// too.)
+    /// this function returns at once. (`emulate_default_handler` of signal-hook suspends the
+    /// program even there.)
     pub fn suspend(&self) {
         set_handler(libc::SIG_DFL);
         // SAFETY: `raise` has no precondition.

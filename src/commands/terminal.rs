@@ -23,10 +23,10 @@ static SETTINGS_BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
 /// The terminal of the screen; `None` without a screen.
 static SCREEN: Mutex<Option<ScreenTerminal>> = Mutex::new(None);
 
-/// Whether the program ends, so that the terminal stays as it was found.
+/// True once [`leave`] was called: the terminal then stays as the program found it.
 static LEFT: AtomicBool = AtomicBool::new(false);
 
-/// Whether the next frame must be drawn whole.
+/// True if the next frame must be drawn whole.
 static REDRAW: AtomicBool = AtomicBool::new(false);
 
 /// Switches to the alternate screen, hides the cursor and clears the screen.
@@ -39,13 +39,13 @@ const LEAVE: &[u8] = b"\x1b[0m\x1b[?25h\x1b[?1049l";
 /// The controlling terminal, opened once more so that reading it never waits; `None` without one.
 static TYPED: OnceLock<Option<OwnedFd>> = OnceLock::new();
 
-/// Longest wait for input, after which the caller looks at its other reasons to go on.
+/// Longest wait for input, after which the caller checks for other events.
 const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
 struct ScreenTerminal {
     /// A duplicate of stderr as it was before its capture: the terminal.
     terminal: File,
-    /// Whether the terminal shows the screen; not while the program is suspended.
+    /// True while the terminal shows the screen; false while the program is suspended.
     is_shown: bool,
 }
 
@@ -86,7 +86,8 @@ pub fn leave_screen() {
     }
 }
 
-/// Shows the screen again after the program was suspended, once it is in the foreground.
+/// Shows the screen again that a suspension has hidden; does nothing while the program is in the
+/// background.
 pub fn resume_screen() {
     if let Ok(mut screen) = SCREEN.try_lock()
         && let Some(screen) = screen.as_mut().filter(|screen| !screen.is_shown)
@@ -128,8 +129,9 @@ fn hide_screen() {
     }
 }
 
-/// Hides the screen and restores the terminal's settings. In the background the settings are those
-/// of the program in the foreground, and the system would stop a program that changes them.
+/// Hides the screen and restores the terminal's settings. In the background it changes no settings,
+/// because they belong to the program in the foreground, and the system would stop a program that
+/// changes them.
 pub fn restore() {
     hide_screen();
     let mut saved = SETTINGS_BEFORE.lock().unwrap_or_else(PoisonError::into_inner);
@@ -140,16 +142,16 @@ pub fn restore() {
     }
 }
 
-/// Restores the terminal for good, before an exit that runs no destructors and leaves threads alive
-/// that would set it again.
+/// Restores the terminal until the program ends, before an exit that runs no destructors and leaves
+/// threads alive that would set it again.
 pub fn leave() {
     LEFT.store(true, Ordering::Relaxed);
     restore();
 }
 
-/// Sets the terminal to single keys without echo; does nothing in the background. Until
-/// [`restore`], Ctrl-\\ is disabled, because it would end the program without restoring the
-/// terminal.
+/// Sets the terminal to single keys without echo; does nothing in the background, without a
+/// terminal, or after [`leave`]. Until [`restore`], Ctrl-\\ is disabled, because it would end the
+/// program without restoring the terminal.
 pub fn set_single_keys() {
     let mut saved = SETTINGS_BEFORE.lock().unwrap_or_else(PoisonError::into_inner);
     if LEFT.load(Ordering::Relaxed) || !is_foreground() {
@@ -198,17 +200,17 @@ pub fn read_input(buffer: &mut [u8]) -> rustix::io::Result<usize> {
     }
 }
 
-/// Discards the keys that were typed and not read. Input from elsewhere than a terminal stays. So
-/// do the keys at a terminal in whose background the program runs, because the system would stop
-/// the program.
+/// Discards the keys that were typed and not read. Input from another source than a terminal stays,
+/// and so do the keys at a terminal in whose background the program runs: the system would stop a
+/// program that discards them.
 pub fn discard_typed_keys() {
     if is_foreground() {
         let _ = tcflush(stdin(), QueueSelector::IFlush);
     }
 }
 
-/// Whether this process group is in the terminal's foreground. The system stops a program in the
-/// background that reads the terminal.
+/// Returns whether this process group is in the terminal's foreground. The system stops a program
+/// in the background that reads the terminal.
 pub fn is_foreground() -> bool {
     tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
 }

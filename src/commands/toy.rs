@@ -23,7 +23,7 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", default_value = "figures")]
     out: PathBuf,
 
-    /// Seed of the samples: the positions of those that are drawn at random, and the noise of all
+    /// Seed of the samples: of the random positions, and of the noise of all samples
     #[arg(long, default_value_t = 0)]
     seed: u64,
 }

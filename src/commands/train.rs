@@ -118,8 +118,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
     threads: u8,
 
-    /// Best instruction set to use among those of the processor; avx512 and avx2 give the same
-    /// policy
+    /// Best instruction set of the processor to use; avx512 and avx2 give the same policy
     #[arg(long, value_enum, default_value_t = InstructionSetName::Avx512)]
     instruction_set: InstructionSetName,
 
@@ -134,9 +133,9 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Whether the arguments ask for effects of a real Qube: a profile, a delay, or the model
-    /// `robust`.
-    fn asks_for_nonidealities(&self) -> bool {
+    /// Returns whether the arguments choose effects of a real Qube: a profile, a delay, or the
+    /// model `robust`.
+    fn chooses_nonidealities(&self) -> bool {
         self.profile.is_some() || self.delay_ms.is_some() || self.model == Model::Robust
     }
 }
@@ -171,7 +170,7 @@ const PSI: &str = "psi";
 /// The parser of `--model`; `psi` stands for the model whose quantities `--psi` gives.
 fn models() -> impl TypedValueParser<Value = Model> {
     let plain = [Model::Nominal, Model::Handcrafted, Model::NominalHandcrafted, Model::Robust];
-    let by_file = "Quantities that the --psi file names vary as it says, the others are nominal";
+    let by_file = "Quantities in the --psi file vary as given there, the others are nominal";
     let plain = plain.map(|model| (model.name(), model.description(), model));
     named(plain.into_iter().chain([(PSI, by_file, Model::OptNominal)]))
 }
@@ -250,7 +249,7 @@ pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The settings of the training: those of the preset with the changes of the arguments.
+/// The settings of the training: the preset's, with the changes of the arguments.
 fn settings(
     arguments: &Arguments,
     psi: Option<&Psi>,
@@ -289,8 +288,8 @@ fn failure(error: JobError, checkpoint: Option<&Path>, stop: &Stop) -> Failure {
     }
 }
 
-/// Checks that a checkpoint can be written to this path, and that `out`, the path of the policy, is
-/// another: otherwise the removal of the checkpoint would remove the policy.
+/// Checks that a checkpoint can be written to this path, and that it differs from `out`, the path
+/// of the policy: otherwise the removal of the checkpoint would remove the policy.
 fn check_checkpoint(path: &Path, out: &Path) -> Result<(), Failure> {
     let shown = path.display();
     check_folder(folder_of(path))?;
@@ -332,7 +331,7 @@ fn simulation(
         (_, None) => {}
     }
     // An observer already compensates for the delay.
-    let default = if arguments.asks_for_nonidealities() && !observes {
+    let default = if arguments.chooses_nonidealities() && !observes {
         SimulationSettings::robust().history
     } else {
         0

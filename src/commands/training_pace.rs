@@ -53,7 +53,8 @@ impl TrainingPace {
     }
 
     /// Time left for a session of this number of candidates; `None` before the second update, and
-    /// when all are trained: only their rollouts are left, whose time the trainings do not tell.
+    /// once all candidates are trained, because the trainings do not show how long the remaining
+    /// rollouts take.
     pub fn time_left(&self, candidates: u32, now: Instant) -> Option<Duration> {
         let (began, first) = self.began?;
         // A training that failed and began again makes more updates than planned; it counts at most
@@ -75,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_time_left_is_that_of_the_candidates_to_come() {
+    fn the_time_left_covers_the_candidates_to_come() {
         let began = Instant::now();
         let after_s = |seconds| began + Duration::from_secs(seconds);
         let mut pace = TrainingPace::new(10);
@@ -90,7 +91,8 @@ mod tests {
         pace.trained(1);
         pace.trained(2);
         assert_eq!(pace.time_left(12, after_s(60)), Some(Duration::from_secs(270)));
-        // Candidate 3 is a copy; others are not begun. Neither shows how long a training takes.
+        // Candidate 3 is a copy, and the others have not begun; none of them shows how long a
+        // training takes.
         pace.needs_no_training(0);
         pace.needs_no_training(3);
         assert_eq!(pace.time_left(12, after_s(60)), Some(Duration::from_secs(240)));

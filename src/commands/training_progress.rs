@@ -82,17 +82,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_training_without_a_screen_tells_its_total_and_its_time_left_in_ten_lines() {
+    fn a_training_without_a_screen_prints_its_total_and_its_time_left_in_ten_lines() {
         let line = |done| line_after(done, 25, 123.4, Some(Duration::from_secs(90)));
-        let told: Vec<String> = (1..=25).filter_map(line).collect();
-        assert_eq!(told.len(), 10, "{told:?}");
-        assert_eq!(told[0], "update 3 of 25, best return 123.4, 90 s left");
-        assert!(told[9].starts_with("update 25 of 25"), "{told:?}");
+        let lines: Vec<String> = (1..=25).filter_map(line).collect();
+        assert_eq!(lines.len(), 10, "{lines:?}");
+        assert_eq!(lines[0], "update 3 of 25, best return 123.4, 90 s left");
+        assert!(lines[9].starts_with("update 25 of 25"), "{lines:?}");
         assert_eq!(line_after(1, 2, 7.0, None).as_deref(), Some("update 1 of 2, best return 7.0"));
     }
 
     #[test]
-    fn competing_trainings_are_numbered_alike() {
+    fn competing_trainings_are_numbered_from_one() {
         assert_eq!(name_of_training("candidate 1", 0, 1), "candidate 1");
         let names = [0, 1, 2].map(|training| name_of_training("candidate 1", training, 2));
         let expected = ["training 1 of 2", "training 2 of 2", "training 3"];

@@ -39,13 +39,13 @@ pub struct Arguments {
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = seconds)]
     linger: f64,
 
-    /// Best instruction set to use among those of the processor; avx512 and avx2 give the same
-    /// policies, and plain is refused
+    /// Best instruction set of the processor to use; avx512 and avx2 give the same policies, and
+    /// plain is refused
     #[arg(long, value_enum, default_value_t = InstructionSetName::Avx512)]
     instruction_set: InstructionSetName,
 }
 
-/// Parses a time from 0 s to a day.
+/// Parses a time in seconds, from 0 to 86 400 (a day).
 fn seconds(text: &str) -> Result<f64, String> {
     between(text, 0.0, 86_400.0)
 }

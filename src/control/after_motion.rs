@@ -2,15 +2,15 @@ use super::DriveReport;
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::telemetry::{Consequence, Ending, Fault, TickRecord};
 
-/// Time between two ticks of a motion from which the computer counts as having slept, us. Nobody
-/// at the Qube then expects that the program goes on by itself.
+/// Time between two ticks of a motion from which the computer counts as having slept, us. Nobody at
+/// the Qube then expects that the program continues by itself.
 const SLEEP_US: u64 = 2_000_000;
 
 /// The fault to which the program reacts after a motion: the fault of its ending, or one that only
-/// the whole report shows; `None` after a motion without any. With an emulated Qube, a sleep of the
-/// computer is no fault.
+/// the whole report shows; `None` after a motion without a fault. With an emulated Qube, a sleep of
+/// the computer is no fault.
 ///
-/// If the motor is not confirmed to be off, the log says so, and the result is
+/// If the motor is not confirmed to be off, the log reports it, and the result is
 /// [`Fault::OffUnconfirmed`], unless the ending is a fault with a consequence other than
 /// [`Consequence::TryAgain`]. [`DriveReport::disarmed`] shows whether the motor was confirmed to be
 /// off.
@@ -36,10 +36,10 @@ pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     fault
 }
 
-/// Whether the computer slept between two of these ticks: whole periods were skipped because the
-/// program stood still, or the device's clock went on while the computer's clock stood still as
-/// well. A device's clock that went back shows a gap of more than half its range, which is no
-/// sleep.
+/// Returns whether the computer slept between two of these ticks: a tick was late or periods were
+/// skipped because the program stood still, or the device's clock went on while the computer's
+/// clock stood still as well. A device's clock that went back shows a gap of more than half its
+/// range, which is no sleep.
 fn has_slept(ticks: &[TickRecord]) -> bool {
     let is_long = |us: u64| (SLEEP_US..1 << 31).contains(&us);
     let skipped = |tick: &TickRecord| u64::from(tick.skipped_periods) * CONTROL_PERIOD_NS / 1000;
@@ -115,7 +115,11 @@ mod tests {
         let mut stopped = report(Ending::Fault(Fault::WatchdogTripped));
         stopped.last_ticks[2].skipped_periods = 300;
         assert_eq!(fault_after(&stopped, true), Some(Fault::ComputerSlept));
-        assert_eq!(fault_after(&stopped, false), Some(Fault::WatchdogTripped), "an emulated Qube");
+        assert_eq!(
+            fault_after(&stopped, false),
+            Some(Fault::WatchdogTripped),
+            "a sleep is no fault of an emulated Qube"
+        );
         let mut went_back = report(Ending::Fault(Fault::DeviceClock));
         went_back.last_ticks[2].measurement.as_mut().unwrap().device_time_us += (1 << 32) - 50_000;
         assert_eq!(fault_after(&went_back, true), Some(Fault::DeviceClock));

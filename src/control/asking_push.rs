@@ -1,7 +1,7 @@
 //! A growing push that tests whether an arm with a constant count can move.
 //!
-//! While a pendulum is balanced quietly, no other sensor can tell a frozen encoder from an arm at
-//! rest: the arm's drift is smaller than the uncertainty about the Qube. Only a push can.
+//! While a pendulum is balanced quietly, no other sensor can distinguish a frozen encoder from an
+//! arm at rest: the arm's drift is smaller than the uncertainty about the Qube. Only a push can.
 
 use super::push::SLOWEST_TICKS;
 use crate::elementary::Scalar;
@@ -45,8 +45,8 @@ const LARGEST_INERTIA_RELIEF: f64 = 0.75;
 /// Travel of the slowest possible arm from which a constant count proves a fault, counts.
 const PROOF_COUNTS: f64 = 4.0;
 
-/// The coefficients of the slowest possible arm of a plant: those of the Qube, scaled by the ratios
-/// of the two plants' nominal parameters.
+/// The coefficients of the slowest possible arm of a plant: the Qube's, scaled by the ratios of the
+/// two plants' nominal parameters.
 #[derive(Clone, Copy, Debug)]
 struct SlowestArm {
     weight_holds_v: f64,
@@ -107,7 +107,7 @@ pub struct AskingPush {
     slowest: SlowestArm,
     counts: i32,
     /// Device time of the driven tick since which the count has been constant, us; `None` while no
-    /// tick has been driven.
+    /// tick has been driven since the count last moved.
     since_us: Option<u64>,
     previous_us: u64,
     previous_alpha: f64,
@@ -117,8 +117,8 @@ pub struct AskingPush {
     sent_ticks: u32,
     /// The last voltages sent, newest first, V.
     last_sent_v: [f64; 1 + SLOWEST_TICKS],
-    /// Sums of the voltages that had reached the motor instead of `sent_v` if the motor is slower
-    /// by 1 and 2 periods, V.
+    /// Sums that replace `sent_v` for a motor that is slower by 1 and by 2 periods, V: of the
+    /// voltages that have reached it.
     reached_v: [f64; SLOWEST_TICKS],
     /// Sum of the pendulum's load in the same ticks.
     loaded: Load,
@@ -160,7 +160,7 @@ impl AskingPush {
 
     /// This watch by the rules before
     /// [`TickRules::AlternatingAllowed`](crate::telemetry::TickRules::AlternatingAllowed): the mean
-    /// voltage counts as the one that holds the arm, whatever the pendulum's load was.
+    /// voltage counts as the one that holds the arm, at any load of the pendulum.
     #[must_use]
     pub fn by_earlier_rules(self) -> Self {
         Self { trusts_holding: true, ..self }
@@ -221,7 +221,7 @@ impl AskingPush {
     }
 
     /// The motor voltage of this tick, V: `wanted_v`, or the mean of the last voltages plus a push.
-    /// The push keeps its direction: against that mean where it exceeds half of the largest
+    /// The push keeps its direction: against that mean if its magnitude exceeds half of the largest
     /// voltage, because the voltage has more room on that side; otherwise towards the middle, from
     /// the arm's angle `theta`, rad. The sum may exceed the largest voltage.
     pub fn voltage_v(&mut self, wanted_v: f64, theta: f64) -> f64 {
@@ -247,8 +247,8 @@ impl AskingPush {
         self.sent_v / f64::from(self.sent_ticks.max(1))
     }
 
-    /// Voltage of the push that may be taken up by the pendulum's load, or be needed where
-    /// `holding_v` did not hold the arm, V.
+    /// Part of the push that the pendulum's load may take up, or that holds the arm where
+    /// `holding_v` alone does not, V.
     ///
     /// The mean voltage held the arm against the load of that time, so a load that has not changed
     /// takes up nothing. With a slower motor, the mean of earlier voltages held the arm.
@@ -335,11 +335,11 @@ mod tests {
     }
 
     /// Tick from which on the count of [`unanswered_under`] is constant. The mean voltage is then
-    /// that of the six ticks from this one on.
-    const STANDS_FROM: u64 = 12;
+    /// the mean over the six ticks that begin with this one.
+    const CONSTANT_FROM: u64 = 12;
 
     /// The tick at which a constant count is called unanswered, and the voltage sent before it, V,
-    /// if the policy wants `wanted_v(tick)` while the pendulum is at `alpha(tick)`.
+    /// if the policy requests `wanted_v(tick)` while the pendulum is at `alpha(tick)`.
     fn unanswered_under(
         mut asking: AskingPush,
         alpha: impl Fn(u64) -> f64,
@@ -347,7 +347,7 @@ mod tests {
     ) -> Option<(u64, f64)> {
         let mut sent_v = 0.0;
         for tick in 1..60 {
-            let theta = 1.0 + 0.1 * STANDS_FROM.saturating_sub(tick) as f64;
+            let theta = 1.0 + 0.1 * CONSTANT_FROM.saturating_sub(tick) as f64;
             if asking.is_unanswered(&at(tick, theta), (1e3 * sent_v) as i16, alpha(tick)) {
                 return Some((tick, sent_v));
             }
@@ -359,11 +359,11 @@ mod tests {
     #[test]
     fn a_load_that_is_gone_may_have_needed_the_voltage_that_held_the_arm() {
         // The pendulum falls, and 3 V hold the arm against it until it hangs.
-        let alpha = |tick: u64| (0.08 * (tick as f64 - STANDS_FROM as f64) - 0.8).min(0.0);
+        let alpha = |tick: u64| (0.08 * (tick as f64 - CONSTANT_FROM as f64) - 0.8).min(0.0);
         let asking = AskingPush::of(&PlantModel::QUBE);
         let earlier = unanswered_under(asking.by_earlier_rules(), alpha, |_| 3.0).unwrap();
-        let now = unanswered_under(asking, alpha, |_| 3.0).unwrap();
-        assert!(now.0 >= earlier.0 + 2 && now.1 < earlier.1, "{earlier:?} {now:?}");
+        let newest = unanswered_under(asking, alpha, |_| 3.0).unwrap();
+        assert!(newest.0 >= earlier.0 + 2 && newest.1 < earlier.1, "{earlier:?} {newest:?}");
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! Knowledge that the control thread keeps from one motion to the next: how warm the motor is, and
-//! where arm and pendulum came to rest.
+//! Knowledge that the control thread keeps from one motion to the next: the motor's heat, and the
+//! counts at which arm and pendulum came to rest.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -51,8 +51,8 @@ impl MotorCooling {
         }
     }
 
-    /// Waits with the amplifier off while the motor is too hot for the next motion, or until `stop`
-    /// is set.
+    /// Waits with the amplifier off until the motor is cool enough for the next motion or `stop` is
+    /// set.
     pub fn cool_down(&mut self, clock: &dyn Clock, stop: &AtomicBool) {
         self.cool(clock);
         let cooling_ns = (self.heat.cooling_s() * 1e9) as Nanoseconds;
@@ -85,11 +85,11 @@ pub(super) struct RestMonitor {
     pub encoders: Encoders,
     /// Time at which `left_at` was determined, ns.
     pub left_ns: Nanoseconds,
-    /// The state that the arm must reach after each motion. It becomes still for the rest of the
-    /// program once the arm has moved within a pause shorter than [`SHORT_PAUSE_NS`], because a
-    /// cable may pull the arm away after each motion. In a longer pause, such as a training, an arm
-    /// that was at rest may creep away; to home it then costs less time than to wait after each
-    /// motion.
+    /// The state that ends the watch after each motion. It becomes [`WaitsFor::Stillness`] for as
+    /// long as the device stays open once the arm has moved within a pause shorter than
+    /// [`SHORT_PAUSE_NS`], because a cable may pull the arm away after each motion. In a longer
+    /// pause, such as a training, an arm that was at rest may creep away; homing the arm again then
+    /// costs less time than waiting after each motion.
     pub waits_for: WaitsFor,
 }
 
@@ -126,7 +126,7 @@ impl RestMonitor {
         Ok(())
     }
 
-    /// Checks before a rollout arms the device that arm and pendulum are where they were left.
+    /// Checks that arm and pendulum are where they were left, before a rollout arms the device.
     ///
     /// # Errors
     /// Arm or pendulum has moved, does not come to rest, or was not seen at rest after the last
@@ -140,7 +140,7 @@ impl RestMonitor {
         stop: &AtomicBool,
     ) -> Result<(), ControlError> {
         let port = self.port.clone();
-        let failed = |why| match why {
+        let failed = |reason| match reason {
             NoRest::Armed => DeviceError::StaysArmed { port },
             NoRest::Link(LinkFault::Restarted) => DeviceError::Restarted { port },
             NoRest::Link(fault) => DeviceError::Link { port, fault },
@@ -173,7 +173,8 @@ enum NoRest {
 
 /// Samples at 100 Hz until arm and pendulum are at rest, for at most [`REST_TIME_NS`] and until
 /// `stop` is set; returns `None` if they are not at rest by then. If the arm is to be still,
-/// sampling goes on until it is; an arm that is only at rest at the end counts as at rest.
+/// sampling goes on until it is; an arm that is at rest without being still when the time is over
+/// counts as at rest.
 ///
 /// # Errors
 /// The device is armed or gone ([`NoRest`]). Lost samples are tolerated.

@@ -74,8 +74,8 @@ impl BrakeEnd {
         Self { guard, rules: settings.rules, centred, stopped_ticks: 0 }
     }
 
-    /// The arm's state if the brake ends in this tick, after so many periods of braking; `None` if
-    /// it goes on.
+    /// The arm's state if the brake ends in this tick, after `periods` periods of braking; `None`
+    /// if the brake goes on.
     pub fn check(&mut self, arm: &State, periods: u32, kind: BrakeKind) -> Option<ArmAfterBrake> {
         let speed_rad_s = arm.theta_dot.abs();
         let (is_at_rest, most_ticks) = match self.guard {
@@ -123,7 +123,11 @@ mod tests {
         assert_eq!(end(TickRules::NEWEST, 100, -16.0), disobeys);
         assert_eq!(end(TickRules::NEWEST, 99, -16.0), None);
         assert_eq!(end(TickRules::NEWEST, 100, 14.0), None);
-        assert_eq!(end(TickRules::SlownessTested, 100, 16.0), None, "an old recording");
+        assert_eq!(
+            end(TickRules::SlownessTested, 100, 16.0),
+            None,
+            "an old recording keeps its rules"
+        );
         assert_eq!(end(TickRules::NEWEST, 1500, 6.0), disobeys);
         assert_eq!(end(TickRules::NEWEST, 1500, 4.0), Some(ArmAfterBrake::Stopped));
     }

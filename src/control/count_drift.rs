@@ -1,21 +1,22 @@
-//! Detects an arm's count that moves away from the tachometer: counts are lost, or added.
+//! Detects an arm's count that departs from the tachometer's velocity because counts are lost or
+//! added.
 
 use std::time::Duration;
 
 /// Time constant with which older differences are forgotten, s.
 const FORGOTTEN_S: f64 = 2.0;
 
-/// Largest difference between the motion that the count shows and the one that the tachometer
-/// shows, rad. A tachometer whose scale is wrong by a tenth differs by less.
+/// Largest difference between the motions that count and tachometer show, rad. A tachometer whose
+/// scale is wrong by a tenth differs by less.
 const LARGEST_RAD: f64 = 0.4;
 
-/// Velocity up to which the difference is judged, rad/s. A tachometer that is late by a time
+/// Velocity up to which the difference is evaluated, rad/s. A tachometer that is late by a time
 /// differs by the velocity times this time, which is no drift.
 const SLOW_RAD_S: f64 = 2.0;
 
-/// Time after which a constant count ends the evidence, s. A tachometer that measures the time
-/// between edges shows the last velocity for 0.21 s after a sudden stop, and a frozen count has
-/// tests of its own.
+/// Time for which a count must be constant, while the tachometer shows motion, to reset the
+/// difference, s. A tachometer that measures the time between edges shows the last velocity for
+/// 0.21 s after a sudden stop, and a frozen count has tests of its own.
 const CONSTANT_S: f64 = 0.05;
 
 /// The leaky integral of the count's velocity minus the tachometer's.

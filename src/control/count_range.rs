@@ -1,9 +1,9 @@
-//! The range of an encoder's count, also where the count passes its largest value.
+//! The range of an encoder's count, also where the count wraps at its largest value.
 
 /// Range of some counts, relative to the first count.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CountRange {
-    /// The first count, or the one that begins the range anew.
+    /// The first count of the range.
     pub(super) origin: i32,
     lowest: i32,
     highest: i32,
@@ -19,8 +19,8 @@ impl CountRange {
     /// The range with this count too.
     #[must_use]
     pub fn with(self, counts: i32) -> Self {
-        let off = counts.wrapping_sub(self.origin);
-        Self { lowest: self.lowest.min(off), highest: self.highest.max(off), ..self }
+        let offset = counts.wrapping_sub(self.origin);
+        Self { lowest: self.lowest.min(offset), highest: self.highest.max(offset), ..self }
     }
 
     /// The largest count minus the smallest.

@@ -87,9 +87,9 @@ const LEAST_SQUARED_CORRELATION: f64 = 0.85;
 /// 1.2, an encoder with half or twice the lines a ratio of 2.
 pub const WRONG_SCALE: f64 = 1.5;
 
-/// Ratio of scales that proves an arm encoder with a wrong number of lines where the distance of
-/// the stops, measured later, shows a smaller error: lengths that are 20 % off in opposite
-/// directions give a ratio of 1.5.
+/// Ratio of scales that proves an arm encoder with a wrong number of lines in a homing that later
+/// measures the distance of the stops, which shows a smaller error: lengths that are 20 % off in
+/// opposite directions give a ratio of 1.5.
 pub const SURELY_WRONG_SCALE: f64 = 1.65;
 
 /// Ratio of scales from which on the arm's velocity is in doubt.
@@ -167,8 +167,8 @@ pub struct CrossCheck {
     unknown_share: f64,
     /// Size of the pendulum's last step, counts.
     last_step_counts: i32,
-    /// Integral of the pull, rad/s: of the terms that remain beside the derivatives of cos a th'
-    /// and a', namely sin a a' th', the centrifugal term and the weight.
+    /// Integral of the pull, rad/s. The pull is the sum of the terms that remain beside the
+    /// derivatives of cos a th' and a': sin a a' th', the centrifugal term and the weight.
     pull_rad_s: f64,
     arm_constant_ticks: u32,
     pendulum_constant_ticks: u32,
@@ -207,7 +207,7 @@ impl Scale {
         self.arm_squares.min(self.implied_squares) > SCALE_KNOWN_FROM
     }
 
-    /// Whether one encoder shows more than `ratio` times the motion of the other.
+    /// Returns whether one encoder shows more than `ratio` times the motion of the other.
     fn differs_by(&self, ratio: f64) -> bool {
         let Self { arm_squares, implied_squares, .. } = *self;
         let (less, more) = (arm_squares.min(implied_squares), arm_squares.max(implied_squares));
@@ -251,7 +251,7 @@ struct Previous {
 struct Change {
     arm_rad_s: f64,
     implied_rad_s: f64,
-    /// Uncertainty of the comparison of the two.
+    /// Uncertainty of the comparison of the two, rad/s.
     unknown_rad_s: f64,
 }
 
@@ -306,42 +306,43 @@ impl CrossCheck {
         self.unknown_share = unknown_share;
     }
 
-    /// Restarts the sums from which [`Self::lead_is_likelier`] and
-    /// [`Self::lead_is_evident`] tell the relative sign.
+    /// Restarts the sums from which [`Self::lead_is_likelier`] and [`Self::lead_is_evident`]
+    /// determine the relative sign.
     pub fn forget_signs(&mut self) {
         (self.together, self.squares) = (0.0, 0.0);
     }
 
-    /// Whether the pendulum leads the arm instead of lagging behind it, which means that a sign is
-    /// wrong; `None` until the motion suffices for a verdict.
+    /// Returns whether the pendulum leads the arm instead of lagging behind it, which means that a
+    /// sign is wrong; `None` until the motion suffices for a verdict.
     #[must_use]
     pub fn pendulum_leads(&self) -> Option<bool> {
         let leads = self.sure_together < -LEAD_CORRELATION * self.sure_squares;
         (self.sure_squares > SIGN_KNOWN_FROM).then_some(leads)
     }
 
-    /// Whether the motion suffices to compare the arm encoder's scale, and the scale agrees with
-    /// the motion that the pendulum implies.
+    /// Returns whether the motion suffices to compare the arm encoder's scale, and the scale agrees
+    /// with the motion that the pendulum implies.
     #[must_use]
     pub fn scale_is_right(&self) -> bool {
         self.scale.is_known() && !self.scale.differs_by(DOUBTFUL_SCALE)
     }
 
-    /// Whether the arm's encoder counts more than `ratio` times the motion that the pendulum
-    /// implies, or less than the reciprocal of `ratio`.
+    /// Returns whether the motion suffices to compare the arm encoder's scale, and the encoder
+    /// counts more than `ratio` times the motion that the pendulum implies, or less than the
+    /// reciprocal of `ratio`.
     #[must_use]
     pub fn scale_is_wrong(&self, ratio: f64) -> bool {
         self.scale.is_wrong(ratio)
     }
 
-    /// Whether the evidence so far favours a pendulum that leads the arm.
+    /// Returns whether the evidence so far favours a pendulum that leads the arm.
     #[must_use]
     pub fn lead_is_likelier(&self) -> bool {
         self.together < 0.0
     }
 
-    /// Whether the evidence so far shows a pendulum that leads the arm, by the threshold of
-    /// [`Self::pendulum_leads`] but however little has moved.
+    /// Returns whether the evidence so far shows a pendulum that leads the arm, by the threshold of
+    /// [`Self::pendulum_leads`] but even after little motion.
     #[must_use]
     pub fn lead_is_evident(&self) -> bool {
         self.together < -LEAD_CORRELATION * self.squares
@@ -355,9 +356,9 @@ impl CrossCheck {
         implied(SHORT).max(implied(LONG))
     }
 
-    /// Takes the next sample with its angles, rad, where `alpha` is 0 at hanging; returns a
-    /// contradiction that has lasted long enough. After a hole between samples the windows begin
-    /// anew; the sums for signs and scale continue.
+    /// Takes the next sample with its angles, rad, where `alpha` is 0 at hanging; returns the
+    /// frozen encoder once the contradiction has lasted for `STREAK` ticks. After a hole between
+    /// samples the windows begin anew; the sums for signs and scale continue.
     pub fn update(
         &mut self,
         sample: &Measurement,
@@ -447,8 +448,8 @@ impl CrossCheck {
         })
     }
 
-    /// Whether the pendulum implies that the arm has gained velocity while the arm's count was
-    /// constant.
+    /// Returns whether the pendulum implies that the arm has gained velocity while the arm's count
+    /// was constant.
     fn drifts(&self) -> bool {
         let constant =
             (self.arm_constant_ticks as usize).min(self.filled.saturating_sub(1)).min(DRIFT);
@@ -532,7 +533,7 @@ impl CrossCheck {
 }
 
 /// Returns the count about which an encoder is constant; `ticks` becomes the number of ticks for
-/// which it has been.
+/// which it has been constant.
 fn constant_count(now: i32, constant: i32, ticks: &mut u32) -> i32 {
     if now.wrapping_sub(constant).wrapping_abs() <= 1 {
         *ticks = ticks.saturating_add(1);

@@ -1,6 +1,6 @@
 //! Compares the motor's current with its voltage to detect a disconnected or badly connected motor.
 //!
-//! The least currents are a Qube's. Those of another plant are multiplied by
+//! The least currents are a Qube's. For another plant they are multiplied by
 //! [`PlantModel::current_per_qube_current`], which is exactly 1 for a Qube.
 
 use crate::qube::{Measurement, PlantModel};
@@ -16,7 +16,7 @@ const DEAD_A_V: f64 = 0.02;
 /// ohm; the amplifier's loss at 1 V adds about half as much again.
 pub const WEAK_A_V: f64 = 1.0 / 17.0;
 
-/// Least voltage at which a bad contact can be told from a dead zone, mV.
+/// Least voltage at which a bad contact can be distinguished from a dead zone, mV.
 const WEAK_MV: i16 = 1200;
 
 /// Travel within which an arm counts as still, counts.
@@ -27,11 +27,11 @@ const STILL_COUNTS: i32 = 3;
 const STILL_TICKS: u32 = 25;
 
 /// Current below which a sensor counts as blind if the motor has moved the arm, and below which the
-/// motor of a fast arm draws no current, A.
+/// motor of a fast arm counts as without current, A.
 const BLIND_A: f64 = 0.004;
 
-/// Whether the current is less than that of a connected motor at rest under this voltage, mV, with
-/// this current for each ampere of a Qube's motor.
+/// Returns whether the current is less than a connected motor at rest draws under this voltage, mV.
+/// The plant's motor draws `current_per_qube_current` amperes for each ampere of a Qube's motor.
 ///
 /// The comparison stays in `f32`: a replay must decide as the recorded tick did, and at whole
 /// milliamperes the last bit decides.
@@ -81,18 +81,18 @@ impl CurrentWatch {
         of_qube * self.current_per_qube_current
     }
 
-    /// Tells the watch that the motor has moved the arm: a sensor that has shown no current until
-    /// then is blind.
+    /// Notes that the motor has moved the arm: a sensor that has shown no current until then is
+    /// blind.
     pub fn motor_works(&mut self) {
         self.is_blind = self.largest_a < self.like(BLIND_A);
     }
 
-    /// Whether the motor has drawn no current although it had `largest_v`, V.
+    /// Returns whether the motor has drawn no current although it had `largest_v`, V.
     pub fn is_dead(&self, largest_v: f64) -> bool {
         self.largest_a < self.like(DEAD_A_V) * largest_v
     }
 
-    /// Whether the motor draws no current at this voltage, mV, while the arm is fast. In a
+    /// Returns whether the motor draws no current at this voltage, mV, while the arm is fast. In a
     /// connected motor the back-EMF alone drives a current.
     pub fn draws_no_current_at_speed(&self, sample: &Measurement, voltage_mv: i16) -> bool {
         draws_no_current(sample, voltage_mv, self.current_per_qube_current as f32)

@@ -14,13 +14,13 @@ const LEAST_DRIVEN_A: f32 = 0.012;
 /// as dead.
 const WITHOUT_CURRENT_TICKS: u32 = 15;
 
-/// Watches whether a motor that has drawn current still does.
+/// Detector of a motor that has drawn current earlier and draws none.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DeadMotor {
     current_per_qube_current: f32,
     has_taken_current: bool,
     without_current_ticks: u32,
-    /// Whether only driven samples are looked at.
+    /// True if only driven samples are evaluated, as by the earlier rules.
     looks_when_driven: bool,
 }
 
@@ -60,8 +60,9 @@ impl DeadMotor {
         is_driven && self.has_taken_current && self.without_current_ticks >= WITHOUT_CURRENT_TICKS
     }
 
-    /// Whether this sample shows no current under the voltage, mV, and the last driven sample did
-    /// not either: at the instant at which a voltage changes its sign every motor draws none.
+    /// Returns whether this sample shows no current under the voltage, mV, and the last driven
+    /// sample did not either: at the instant at which a voltage changes its sign every motor draws
+    /// none. The earlier rules ask for this sample alone.
     pub(super) fn is_dead(&self, sample: &Measurement, voltage_mv: i16) -> bool {
         let is_dead = draws_no_current(sample, voltage_mv, self.current_per_qube_current);
         is_dead && (self.looks_when_driven || self.without_current_ticks > 0)
@@ -90,7 +91,7 @@ mod tests {
         let motor = DeadMotor::of(&PlantModel::QUBE);
         assert!(!calls_dead(motor, 0.08));
         assert!(calls_dead(motor.by_earlier_rules(), 0.08));
-        assert!(calls_dead(motor, 0.001), "a dead motor");
+        assert!(calls_dead(motor, 0.001), "a motor without current is dead");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 use crate::device::LinkFault;
 use crate::telemetry::Fault;
 
-/// The reason why no sample comes from a device any more, unless it answers a new hello.
+/// The reason why a device gives no samples until it has answered a new hello.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceLoss {
     /// The port is gone.

@@ -24,8 +24,8 @@ pub struct Homed {
     pub travel_rad: Option<f64>,
 }
 
-/// The owner of the device on the control thread: carries out one motion at a time and keeps what
-/// the next one needs to know. Between motions the amplifier is off.
+/// The owner of the device on the control thread: carries out one motion at a time and keeps the
+/// knowledge that the next one needs. Between motions the amplifier is off.
 pub(super) struct DeviceOwner {
     device: Box<dyn Device>,
     clock: Arc<dyn Clock>,
@@ -56,7 +56,7 @@ impl DeviceOwner {
         }
     }
 
-    /// Whether the device counts as hardware.
+    /// Returns whether the device counts as hardware.
     pub fn is_hardware(&self) -> bool {
         self.device.is_hardware()
     }
@@ -72,13 +72,14 @@ impl DeviceOwner {
         self.motor.heat
     }
 
-    /// Waits until the motor is cool enough for the next motion, and returns its heat.
+    /// Waits until the motor is cool enough for the next motion or a stop is requested; returns the
+    /// motor's heat.
     pub fn cool_motor(&mut self) -> MotorHeat {
         self.motor.cool_down(&*self.clock, &self.stop);
         self.motor.heat
     }
 
-    /// Sends hellos until the device answers.
+    /// Sends hellos until the device answers or the time of `retries` is over.
     ///
     /// # Errors
     /// As for [`greet_until_answered`].
@@ -120,8 +121,9 @@ impl DeviceOwner {
     /// Runs one rollout to its end, and writes a record of each tick to `records`.
     ///
     /// # Errors
-    /// The state of control refuses a rollout, arm or pendulum are not at rest where the last
-    /// motion left them, or the device could not be armed.
+    /// The state of control refuses a rollout; arm or pendulum are not at rest where the last
+    /// motion left them; a stop is requested or the device fails before the rollout; or the device
+    /// could not be armed.
     pub fn rollout(
         &mut self,
         settings: &TickSettings,
@@ -184,8 +186,10 @@ impl DeviceOwner {
         }
     }
 
-    /// Drives a motion and adopts the state of control in which the motion ends, or latches a fault
-    /// if the device has not confirmed that its amplifier is off.
+    /// Drives a motion and adopts the state of control in which the motion ends. If the device has
+    /// not confirmed that its amplifier is off, [`ControlEvent::NoAnswer`] follows: it latches a
+    /// fault, but leads from [`ControlState::Identified`], in which a stop of homing ends, to
+    /// [`ControlState::Idle`].
     ///
     /// # Errors
     /// The device could not be armed; the fault is latched.
@@ -212,8 +216,10 @@ impl DeviceOwner {
         }
     }
 
-    /// Watches after a motion without a fault where arm and pendulum come to rest. A device whose
-    /// samples say that its motor is on has not switched it off, whatever it answered.
+    /// Watches where arm and pendulum come to rest, after a motion that ends in
+    /// [`ControlState::Ready`]. A device whose
+    /// samples report that its motor is on has not switched it off, even if its answer to the
+    /// disarm said so.
     fn keep_at_rest(&mut self, mut report: DriveReport) -> DriveReport {
         if self.state == ControlState::Ready {
             let (last, device) = (report.last_measurement.as_ref(), &mut *self.device);

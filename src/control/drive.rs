@@ -10,26 +10,26 @@ use crate::safety::MotorHeat;
 use crate::telemetry::{Ending, MotorState, Phase, RolloutOutcome, TickRecord};
 
 /// Time that a tick waits for its sample, ns, unless a measurement has shown that the link needs
-/// longer. An act that follows a sample at 6 ms still leaves well before the next tick. Without a
-/// sample by then, the tick sends nothing and the device keeps its last voltage.
+/// longer. An act that follows a sample at 6 ms leaves well before the next tick. Without a sample
+/// by then, the tick sends nothing and the device keeps its last voltage.
 pub const SAMPLE_TIMEOUT_NS: u64 = 6_000_000;
 
-/// Longest time that a tick waits for its sample, ns, whatever the link needs. This limit leaves
-/// 1.5 ms of the tick's 10 ms: 0.1 ms to decide, and 1.3 ms until an act reaches the motor (1 ms
-/// for a frame of USB, 0.26 ms for 13 bytes on the line). An act then follows its sample within
-/// 10 ms, inside the 20 ms that foresight allows for and that a device accepts.
+/// Longest time that a tick waits for its sample, ns, even on a link that needs longer. This limit
+/// leaves 1.5 ms of the tick's 10 ms: 0.1 ms to decide, and 1.3 ms until an act reaches the motor
+/// (1 ms for a frame of USB, 0.26 ms for 13 bytes on the line). An act then follows its sample
+/// within 10 ms, inside the 20 ms that foresight allows for and that a device accepts.
 pub const LONGEST_SAMPLE_TIMEOUT_NS: u64 = 8_500_000;
 
 /// The result of driving one motion to its end.
 #[derive(Debug)]
 pub struct DriveReport {
-    /// Ending and latencies.
+    /// Ending, counters and latencies.
     pub outcome: RolloutOutcome,
     /// Last measurement, if there was any.
     pub last_measurement: Option<Measurement>,
     /// The last second before a fault, oldest tick first; empty without a fault.
     pub last_ticks: Vec<TickRecord>,
-    /// Whether the device confirmed that its amplifier is off. If the device has received no
+    /// `Ok` if the device confirmed that its amplifier is off. If the device has received no
     /// disarm, its watchdog switches the amplifier off; on a board at most 55 ms after the last arm
     /// or act.
     pub disarmed: Result<(), DeviceError>,
@@ -83,7 +83,7 @@ pub fn drive_warm(
 ) -> Result<DriveReport, DeviceError> {
     let mut lateness = LatencyHistogram::new();
     let mut sample_to_act = LatencyHistogram::new();
-    let mut turns = TickCounts::default();
+    let mut counts = TickCounts::default();
     let mut last_ticks = LastTicks::new();
     let mut voltage_mv = 0;
     let mut largest_motor_load = heat.load;
@@ -134,7 +134,7 @@ pub fn drive_warm(
 
         // Record.
         let record = TickRecord {
-            tick: turns.ticks,
+            tick: counts.ticks,
             phase: output.phase,
             deadline_ns,
             lateness_ns,
@@ -148,7 +148,7 @@ pub fn drive_warm(
         };
         let pushed = records.as_mut().is_none_or(|records| records.push(record).is_ok());
         last_ticks.push(&record);
-        turns.count(&record, pushed);
+        counts.count(&record, pushed);
         if let Some(latency_us) = input.measurement.and_then(|sample| sample.sample_to_act_us) {
             sample_to_act.record(u64::from(latency_us) * 1000);
         }
@@ -169,9 +169,9 @@ pub fn drive_warm(
         outcome: RolloutOutcome {
             ending,
             phase,
-            steps: turns.steps,
-            missed_deadlines: turns.missed_deadlines,
-            records_lost: turns.records_lost,
+            steps: counts.steps,
+            missed_deadlines: counts.missed_deadlines,
+            records_lost: counts.records_lost,
             observer_resets: motion.observer_resets(),
             foreseen: motion.foreseen(),
             contradiction: motion.contradiction(),
@@ -180,7 +180,7 @@ pub fn drive_warm(
             lateness_us: lateness.summary(),
             sample_to_act_us: sample_to_act.summary(),
         },
-        last_measurement: turns.last_measurement,
+        last_measurement: counts.last_measurement,
         last_ticks: match ending {
             Ending::Fault(_) => last_ticks.into_ticks(),
             _ => Vec::new(),
@@ -303,21 +303,22 @@ mod tests {
 
         std::fs::write(&file, "").unwrap();
         assert_eq!(homed_while_watched(&file, |_| None), (Some(Ending::Completed), 1));
-        assert_eq!(openings_of(&file), 0, "after a motion");
+        assert_eq!(openings_of(&file), 0, "the file is closed after a motion");
 
         let gone = |sample| (sample == 20).then_some(TestFault::Gone);
         let by_fault = Some(Ending::Fault(crate::telemetry::Fault::LinkGone));
         assert_eq!(homed_while_watched(&file, gone), (by_fault, 1));
-        assert_eq!(openings_of(&file), 0, "after a fault");
+        assert_eq!(openings_of(&file), 0, "the file is closed after a fault");
 
-        let panics = |sample| if sample == 20 { panic!("a fault of the program") } else { None };
+        let panics =
+            |sample| if sample == 20 { panic!("the motion panics on purpose") } else { None };
         assert_eq!(homed_while_watched(&file, panics), (None, 1));
-        assert_eq!(openings_of(&file), 0, "after a panic");
+        assert_eq!(openings_of(&file), 0, "the file is closed after a panic");
 
         let device = PlantDevice::new(State::default());
         let clock = SleepyClock { time: device.clock.clone(), file: file.clone() };
         let stop = AtomicBool::new(false);
         assert!(drive(&mut Unarmed(device), &clock, &mut homing(), None, &stop).is_err());
-        assert_eq!(openings_of(&file), 0, "after a device that does not arm");
+        assert_eq!(openings_of(&file), 0, "the file is closed if the device does not arm");
     }
 }

@@ -3,8 +3,8 @@ use thiserror::Error;
 use super::{ControlEvent, ControlState, Moved};
 use crate::device::DeviceError;
 
-/// Error: the control thread has panicked. It switches the motor off where it still can, else the
-/// device's watchdog does, but the program does not learn whether the motor is off.
+/// Error: the control thread has panicked. The thread switches the motor off if it can; otherwise
+/// the device's watchdog does. The program does not learn whether the motor is off.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 #[error(
     "the control thread has ended unexpectedly. The motor should be off, but nobody has confirmed it: \
@@ -29,7 +29,7 @@ pub enum ControlError {
         /// The current state.
         state: ControlState,
     },
-    /// The zeros of the last homing no longer hold; nothing has been armed.
+    /// The zeros of the last homing do not hold; nothing has been armed.
     #[error("{0}: the arm is homed again first")]
     Moved(#[from] Moved),
     /// A stop was requested before the device was armed.

@@ -98,7 +98,7 @@ impl Hanging {
     }
 }
 
-/// Whether pendulum and arm move little enough for a push. The widths of their motion and
+/// Returns whether pendulum and arm move little enough for a push. The widths of their motion and
 /// `at_rest_rad`, the motion within which the arm counts as not moving, are in rad.
 fn is_calm_enough(pendulum_rad: f64, arm_rad: f64, at_rest_rad: f64) -> bool {
     let hardly_swings =

@@ -40,7 +40,7 @@ const TRAVEL_TOLERANCE: f64 = 0.03;
 /// after each start, because an encoder counts from the angle at which it was switched on.
 ///
 /// Homing trusts no sensor before testing it. The motor stays at 0 V until pendulum and arm move
-/// little enough for a push (`hanging.rs` says how little); then a push that grows from zero shows
+/// little enough for a push (`hanging.rs` has the limits); then a push that grows from zero shows
 /// whether the arm follows. From then on the two encoders check each other, and the arm moves so
 /// slowly that it does no damage if one of them fails.
 #[derive(Debug)]
@@ -88,7 +88,7 @@ enum Stage {
     Calm,
     /// Seek the stops, which define the middle.
     Seek(StopSeek),
-    /// After a fault: lead the arm back to where homing first pushed it, if it can move.
+    /// Lead the arm back, after a fault, to where homing first pushed it, if the arm can move.
     LeaveStop(LeavingStop),
 }
 
@@ -202,18 +202,20 @@ impl Homing {
         let scale_is_right = self.sensors.cross_check().is_some_and(CrossCheck::scale_is_right);
         match &mut self.stage {
             Stage::Observe(hanging) => {
-                if let Some(hung) = hanging.update(self.state.theta, self.state.alpha) {
-                    self.set_hanging_angle(hung.middle_rad, hung.within_rad);
+                if let Some(hanging_angle) = hanging.update(self.state.theta, self.state.alpha) {
+                    self.set_hanging_angle(hanging_angle.middle_rad, hanging_angle.within_rad);
                     if self.control.take(ControlEvent::AtRest) == ControlAction::Seek {
                         self.place_rad = self.state.theta;
-                        self.stage =
-                            Stage::Probe(HomingProbe::new(&self.settings.plant, hung.swing_rad));
+                        self.stage = Stage::Probe(HomingProbe::new(
+                            &self.settings.plant,
+                            hanging_angle.swing_rad,
+                        ));
                     }
                 }
             }
             Stage::Probe(probe) => {
-                let answer = probe.update(&seen);
-                return self.apply_response(answer).map(Ending::Fault);
+                let response = probe.update(&seen);
+                return self.apply_response(response).map(Ending::Fault);
             }
             Stage::Calm => {
                 // Target: the middle, or where the operator put the arm by hand.
@@ -228,7 +230,7 @@ impl Homing {
                     && window.width_rad <= STILL_COUNTS * encoders.alpha.rad_per_count()
                 {
                     // A still pendulum hangs. A wrong hanging angle would hold the arm off its
-                    // target for good.
+                    // target permanently.
                     self.set_hanging_angle(
                         window.middle_rad,
                         zero_within_rad(&self.settings.plant),
@@ -266,12 +268,12 @@ impl Homing {
         self.stage = Stage::LeaveStop(LeavingStop::after(fault, self.state.theta, self.place_rad));
     }
 
-    /// Acts on the response to a push: enters the next stage, waits, or asks for a second push.
+    /// Acts on the response to a push: enters the next stage, waits, or requests a second push.
     /// Returns the fault that the response proves, if any.
     fn apply_response(&mut self, response: PushResponse) -> Option<Fault> {
         let cross_check = self.sensors.cross_check();
-        let leads = cross_check.is_some_and(|own| own.lead_is_evident());
-        let rather_leads = cross_check.is_some_and(|own| own.lead_is_likelier());
+        let leads = cross_check.is_some_and(|check| check.lead_is_evident());
+        let rather_leads = cross_check.is_some_and(|check| check.lead_is_likelier());
         let wrong_sign = match response {
             PushResponse::Waits => return None,
             PushResponse::Moves => return Some(Fault::ArmPushed),
@@ -408,13 +410,13 @@ impl Homing {
             None => {}
         }
         let cross_check = self.sensors.cross_check();
-        let leads = cross_check.and_then(|own| own.pendulum_leads()) == Some(true);
+        let leads = cross_check.and_then(|check| check.pendulum_leads()) == Some(true);
         // An operator who accepted another distance of the stops may have accepted one that a
         // wrong encoder measured.
         let stops_show_it =
             self.settings.method == HomingMethod::Stops && self.settings.travel_rad.is_none();
         let wrong_scale = if stops_show_it { SURELY_WRONG_SCALE } else { WRONG_SCALE };
-        let miscounts = cross_check.is_some_and(|own| own.scale_is_wrong(wrong_scale));
+        let miscounts = cross_check.is_some_and(|check| check.scale_is_wrong(wrong_scale));
         ((leads || miscounts) && is_led).then_some(Fault::EncodersDisagree)
     }
 }
@@ -423,8 +425,8 @@ impl Motion for Homing {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.ticks += 1 + input.skipped_periods;
 
-        // The arm is slow here, so that the amplifier can go off at once, even after a fault that
-        // would brake a rollout.
+        // The arm is slow here, so the amplifier can go off at once, even after a fault that would
+        // brake a rollout.
         let differs = self.voltage.watch(self.device_mv(self.voltage_mv), input);
         let watched = self.watch.check(input).or(differs);
         let watched = watched.map(|(Alarm::SwitchOff(fault) | Alarm::Brake(fault))| fault);

@@ -45,8 +45,8 @@ const MOVED_RAD: f64 = 0.03;
 /// Least travel, corrected for the pendulum's recoil, that counts as motion, rad.
 const REACH_RAD: f64 = 0.05;
 
-/// Additional travel required for each rad of the pendulum's swing, which throws the arm to and
-/// fro.
+/// Additional travel required for each rad of the pendulum's swing, which throws the arm back and
+/// forth.
 const REACH_PER_SWING: f64 = 0.5;
 
 /// Recoil of a nominal Qube's arm for each rad of the pendulum's swing, rad: M_p L_p L_r / 2 over
@@ -63,7 +63,7 @@ pub struct HomingProbe {
     ramp_v_s: f64,
     /// Number of consecutive pushes that have moved nothing.
     pushes_without_motion: u32,
-    /// Whether a push has moved the arm, which must be at rest before the next one.
+    /// True if a push has moved the arm, which must be at rest before the next one.
     has_moved: bool,
     waited_ticks: u32,
     ticks: u32,
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn each_push_may_wait_as_long_for_the_arm_to_come_to_rest() {
+    fn each_push_has_its_own_time_for_the_arm_to_come_to_rest() {
         let mut probe = HomingProbe::new(&PlantModel::QUBE, 0.0);
         probe.push_again();
         let moving = MOST_WAIT_TICKS - REST_TICKS;

@@ -10,7 +10,7 @@ use crate::qube::{HARD_STOP_RAD, PlantModel};
 pub const TRAVELS_RAD: std::ops::RangeInclusive<f64> = 3.6..=6.0;
 
 /// Largest offset of the arm's zero from the middle between the stops, rad. At any offset the rig
-/// narrows the box to the stops: those that homing touched, or, after homing by hand, those that
+/// narrows the box to the stops that homing touched or, after homing by hand, to the stops that
 /// offset and accepted travel imply.
 pub const LARGEST_OFFSET_RAD: f64 = 0.3;
 

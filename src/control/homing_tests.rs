@@ -66,7 +66,7 @@ fn an_arm_that_has_moved_since_it_was_put_by_hand_goes_back() {
 }
 
 #[test]
-fn zero_lies_where_the_offset_says() {
+fn the_zero_lies_at_the_offset_of_the_settings() {
     for theta_inverted in [false, true] {
         let mut device = PlantDevice::new(State::default());
         let signs = Calibration {
@@ -101,7 +101,7 @@ fn after_a_fault_the_arm_must_have_been_at_rest_for_a_second() {
 }
 
 #[test]
-fn a_qube_in_which_nothing_answers_is_not_homed() {
+fn a_qube_whose_samples_do_not_change_is_not_homed() {
     let frozen = |tick: u64, applied_mv: i16| TickInput {
         deadline_ns: tick * 10_000_000,
         measurement: Some(Measurement {
@@ -119,7 +119,7 @@ fn a_qube_in_which_nothing_answers_is_not_homed() {
         applied_mv = output.voltage_mv;
         output.ending
     });
-    assert_eq!(ending, Some(Ending::Fault(Fault::MotorDead)), "no current either");
+    assert_eq!(ending, Some(Ending::Fault(Fault::MotorDead)), "a motor without current is dead");
     assert_eq!(homing.calibration(), None);
 }
 

@@ -65,7 +65,7 @@ impl Held {
     }
 }
 
-/// Counts the ticks for which the arm has not moved, whatever its voltage.
+/// Counts the ticks for which the arm has not moved, at any voltage.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Motionless {
     counts: i32,
@@ -80,7 +80,7 @@ impl Motionless {
             if stays { Self { ticks: self.ticks + 1, ..*self } } else { Self { counts, ticks: 0 } };
     }
 
-    /// Whether the arm has not moved for `MOTIONLESS_TICKS`, so that it must be held if its
+    /// Returns whether the arm has not moved for `MOTIONLESS_TICKS`, so that it must be held if its
     /// pendulum swings.
     pub fn is_held(&self) -> bool {
         self.ticks >= MOTIONLESS_TICKS
@@ -106,8 +106,8 @@ impl Runaway {
     }
 }
 
-/// The way off a stop after a fault that leaves the motor usable. An arm released at the stop would
-/// be thrown across to the other one by a stiff cable.
+/// The way off a stop after a fault that leaves the motor usable. A stiff cable would throw an arm
+/// that is released at the stop across to the other stop.
 #[derive(Clone, Copy, Debug)]
 pub struct LeavingStop {
     fault: Fault,

@@ -5,9 +5,9 @@ use crate::policy::Controller;
 use crate::safety::{Contradiction, Foreseen};
 use crate::telemetry::Fault;
 
-/// A fault that a rollout has latched and that other threads can see while the arm is still damped
+/// A fault that a rollout has latched and that other threads can see while the arm is being damped
 /// or braked, which takes up to 15 s. The rig stores the doubt that the fault leaves, so that the
-/// doubt outlives a program that is killed meanwhile.
+/// doubt stays even if the program is killed meanwhile.
 #[derive(Debug, Default)]
 pub(super) struct LatchedFault {
     /// Place of the fault in [`Fault::ALL`], from 1; 0 without a fault.

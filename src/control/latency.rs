@@ -2,7 +2,7 @@ use hdrhistogram::Histogram;
 
 use crate::telemetry::LatencySummary;
 
-/// Largest latency that is resolved, ns; larger ones count as this.
+/// Largest latency that is resolved, ns; larger ones count as this one.
 const LARGEST_NS: u64 = 10_000_000_000;
 
 /// Histogram of one kind of latency. Recording into it does not allocate.

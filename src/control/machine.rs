@@ -37,17 +37,18 @@ pub enum ControlState {
 /// An event that may change the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ControlEvent {
-    /// The operator or the session asked for a hello, and the device answered.
+    /// The operator or the session requested a hello, and the device answered.
     Hello,
-    /// The device did not answer, has restarted, or did not arm.
+    /// The device did not answer, has restarted, did not arm, or has not confirmed that its
+    /// amplifier is off.
     NoAnswer,
-    /// The operator or the session asks for an examination.
+    /// The operator or the session requests an examination.
     Check,
     /// The examination is over.
     Checked,
-    /// The operator or the session asks for homing.
+    /// The operator or the session requests homing.
     Home,
-    /// The operator or the session asks for a rollout.
+    /// The operator or the session requests a rollout.
     Rollout,
     /// Arm, or arm and pendulum, have been at rest for long enough. In homing: the hanging angle is
     /// known, and arm and pendulum move little enough for a push.
@@ -113,7 +114,7 @@ impl ControlState {
         Self::Faulted,
     ];
 
-    /// Whether the amplifier is on.
+    /// Returns whether the amplifier is on.
     #[must_use]
     pub fn is_powered(self) -> bool {
         use ControlState::{Braking, Checking, Faulting, Homing, Resting, Running, Settling};
@@ -122,10 +123,10 @@ impl ControlState {
 
     /// The next state and the action for an event in this state.
     ///
-    /// Unless a line says otherwise, the commands (`Hello`, `Check`, `Home`, `Rollout`) are
-    /// refused, and all other events are ignored. For each event that must not be missed (a stop, a
-    /// fault, a lost answer, a doubted count) every state is listed, so that a new state does not
-    /// compile before its responses are decided.
+    /// Unless a line of the table states otherwise, the commands (`Hello`, `Check`, `Home`,
+    /// `Rollout`) are refused, and all other events are ignored. For each event that must not be
+    /// missed (a stop, a fault, a lost answer, a doubted count) every state is listed, so that a
+    /// new state does not compile before its responses are decided.
     #[must_use]
     pub fn on(self, event: ControlEvent) -> (Self, ControlAction) {
         use ControlAction as A;
@@ -167,7 +168,7 @@ impl ControlState {
 
             (S::Settling | S::Running, E::Stop) => braking,
             (S::Resting, E::Stop) => (S::Cleared, A::Off),
-            // The arm is slow here, so that switching off stops it.
+            // The arm is slow here, so switching off stops it.
             (S::Homing, E::Stop) => (S::Identified, A::Off),
             // The arm is being stopped already, and a stop does not change the ending.
             (S::Braking | S::Faulting, E::Stop) => ignored,
@@ -400,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn the_picture_in_safety_md_is_that_of_the_table() {
+    fn the_picture_in_safety_md_shows_the_transitions_of_the_table() {
         let page = include_str!("../../SAFETY.md");
         let diagram = state_diagram();
         assert!(page.contains(&diagram), "SAFETY.md needs this picture:\n\n{diagram}");

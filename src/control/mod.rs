@@ -33,7 +33,7 @@
 //! let settings = TickSettings {
 //!     calibration: measured.calibration,
 //!     stops: measured.stops,
-//!     // The box alone: the guard would end this controller on a Qube that it does not know.
+//!     // The box alone: without a profile of the Qube, foresight would end this controller.
 //!     safety_box: SafetyBox::THESIS,
 //!     ..RolloutPlan::single("example", "classical").header().settings
 //! };

@@ -113,8 +113,8 @@ impl Coefficients {
 /// sample is taken, all samples may show the current of one sign. So the voltages sent must show
 /// the change of velocity too, at each delay that a motor may have.
 ///
-/// Without the equations the watch detects a count that was constant and then
-/// makes two steps that only an arm already in motion can make.
+/// Besides the equations, the watch detects a count that was constant and then makes two steps that
+/// only an arm already in motion can make.
 #[derive(Clone, Copy, Debug)]
 pub struct MomentumWatch {
     coefficients: Coefficients,
@@ -236,7 +236,8 @@ impl MomentumWatch {
         (LEAST_TICKS..=longest).any(|ticks| self.moves_over(ticks))
     }
 
-    /// Converts counts of a Qube's arm encoder to counts of this plant's for the same angle.
+    /// Converts counts of a Qube's arm encoder to counts of this plant's encoder for the same
+    /// angle.
     fn of_qube(&self, counts: i32) -> i32 {
         (f64::from(counts) * self.coefficients.counts_per_qube_count) as i32
     }
@@ -275,7 +276,8 @@ impl MomentumWatch {
         };
     }
 
-    /// Whether both equations show that the arm has gained velocity within the last `ticks` ticks.
+    /// Returns whether both equations show that the arm has gained velocity within the last `ticks`
+    /// ticks.
     fn moves_over(&self, ticks: usize) -> bool {
         let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
         let alpha_dot = |back: usize| {
@@ -323,9 +325,9 @@ mod tests {
     use super::*;
 
     /// Milliseconds, the pendulum's angle, rad, the motor's current, A, and the voltage sent after
-    /// the sample, V, of a policy that alternates. Times, angles and voltages are those of a
-    /// simulated Qube whose motor follows after 10 ms, with its arm within one count in the last
-    /// seven samples; the currents are rounded.
+    /// the sample, V, of a policy that alternates. Times, angles and voltages come from a simulated
+    /// Qube whose motor follows after 10 ms, with its arm within one count in the last seven
+    /// samples; the currents are rounded.
     const ALTERNATES: [(f64, f64, f32, f64); 11] = [
         (3891.6, -0.1104, -0.55, 5.0),
         (3902.0, -0.1166, 0.55, -5.0),
@@ -340,8 +342,8 @@ mod tests {
         (3991.4, -0.0337, -0.50, -5.0),
     ];
 
-    /// Whether the watch calls the arm's count frozen in these samples; `sent_v` changes the
-    /// voltages that were sent.
+    /// Returns whether the watch calls the arm's count frozen in these samples; `sent_v` changes
+    /// the voltages that were sent.
     fn is_called_frozen(mut watch: MomentumWatch, sent_v: impl Fn(f64) -> f64) -> bool {
         let mut voltage_v = 5.0;
         ALTERNATES.into_iter().any(|(ms, alpha, current_a, next_v)| {

@@ -14,13 +14,13 @@ pub struct TickInput {
     pub lateness_ns: u64,
     /// Number of whole periods skipped before this tick.
     pub skipped_periods: u32,
-    /// Whether a stop is requested.
+    /// True if a stop is requested.
     pub stop_requested: bool,
     /// The sample; `None` if no valid one came in time.
     pub measurement: Option<Measurement>,
-    /// Reason why no later sample will come either; there is no sample then.
+    /// Reason why this and all later samples are missing; `None` while samples may come.
     pub device_loss: Option<DeviceLoss>,
-    /// Whether the motor must cool down, by the heat computed from the samples and voltages before
+    /// True if the motor must cool down, by the heat computed from the samples and voltages before
     /// this tick.
     pub motor_overheated: bool,
 }
@@ -32,10 +32,10 @@ pub struct TickOutput {
     pub phase: Phase,
     /// The estimated state that a policy sees.
     pub state: State,
-    /// Speed of the arm from which the motor's heat is computed, rad/s: that of the state that the
-    /// guard sees, so that no wrong model of an observer falsifies it.
+    /// Velocity of the arm in the state that the guard sees, rad/s. The motor's heat is computed
+    /// from it, because no wrong model of an observer falsifies this velocity.
     pub heating_theta_dot_rad_s: f64,
-    /// Voltage that the controller asked for, V; `None` while the last voltage is held or the
+    /// Voltage that the controller requested, V; `None` while the last voltage is held or the
     /// amplifier is off.
     pub wanted_v: Option<f64>,
     /// Voltage to send, mV, in the convention's sign.
@@ -46,8 +46,8 @@ pub struct TickOutput {
 }
 
 impl TickOutput {
-    /// The output of a motion other than a rollout, in a tick that keeps `voltage_mv`, mV, asks for
-    /// no other voltage and does not end the motion.
+    /// The output of a motion other than a rollout, for a tick that keeps `voltage_mv`, mV, has no
+    /// wanted voltage and does not end the motion.
     pub fn settling(state: State, voltage_mv: i16) -> Self {
         Self {
             phase: Phase::Settling,
@@ -69,7 +69,7 @@ pub trait Motion: Send {
     /// State of the control thread that the motion has reached in the table of [`ControlState`].
     fn control_state(&self) -> ControlState;
 
-    /// Number of times the observer lost track of the Qube and was reset.
+    /// Number of times that the observer diverged from the Qube and was reset.
     fn observer_resets(&self) -> u32 {
         0
     }

@@ -49,8 +49,7 @@ impl Default for OscillationGain {
 }
 
 impl OscillationGain {
-    /// Takes the voltage that the feedback asks for with its full gains, V; returns the factor on
-    /// the gains.
+    /// Takes the voltage of the feedback with its full gains, V; returns the factor on the gains.
     pub fn update(&mut self, full_v: f64) -> f64 {
         self.periods_since_turn = self.periods_since_turn.saturating_add(1);
         let furthest_full_v = *self.furthest_full_v.get_or_insert(full_v);

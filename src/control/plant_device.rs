@@ -1,5 +1,5 @@
-//! A simulated Qube behind the trait [`Device`] for the tests of this room. There is no wire in
-//! between, so that a test can place a fault at a chosen tick.
+//! A simulated Qube behind the trait [`Device`] for the tests of this room. There is no wire
+//! between test and Qube, so that a test can place a fault at a chosen tick.
 
 use crate::clock::{Clock, Nanoseconds, VirtualClock};
 use crate::device::{Device, DeviceError, Identity, LinkFault};
@@ -21,7 +21,8 @@ pub enum TestFault {
     Reports(Status),
 }
 
-/// A nominal Qube between two hard stops, simulated up to the time of `clock` with each request.
+/// A nominal Qube between two hard stops, simulated up to the time of `clock` with each sample, act
+/// and disarm.
 pub struct PlantDevice {
     pub state: State,
     pub clock: VirtualClock,
@@ -32,7 +33,7 @@ pub struct PlantDevice {
     /// Counts that both encoders show at zero angle.
     pub offset_counts: i32,
     pub armed: bool,
-    /// Voltage that the armed motor has whatever it is sent, mV; `None` if it follows the acts.
+    /// Voltage of an armed motor that ignores all acts, mV; `None` if the motor follows the acts.
     pub stuck_mv: Option<i16>,
     /// Voltages of all acts, mV.
     pub voltages_mv: Vec<i16>,

@@ -8,7 +8,7 @@ use crate::qube::Measurement;
 /// way.
 const CARRIED_RAD_S: f64 = 2.0;
 
-/// Longest delay from a command to the motor that is assumed, control periods: 20 ms.
+/// Longest assumed delay from a command to the motor, control periods: 20 ms.
 pub(super) const SLOWEST_TICKS: usize = 2;
 
 /// The two inputs that accelerate the arm, in the signs of the equations of motion.
@@ -22,7 +22,7 @@ pub struct ArmInput {
     pub swing_rad_s: f64,
 }
 
-/// The push that must move an arm.
+/// Limits of a push that must move an arm.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PushLimits {
     /// Smallest voltage in one direction, mV.
@@ -43,8 +43,8 @@ pub(super) struct Push {
 }
 
 impl Push {
-    /// Whether a voltage within these limits has not moved the arm, and the pendulum has not
-    /// absorbed the push.
+    /// Takes the next sample; returns whether a voltage within these limits has not moved the arm
+    /// although the pendulum has not absorbed the push.
     pub(super) fn moves_nothing(
         &mut self,
         sample: &Measurement,

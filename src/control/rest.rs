@@ -1,5 +1,5 @@
-//! Detectors of rest: arm and pendulum at rest before a rollout, the arm centred after a rollout,
-//! the arm still before homing. Also the extremes of a swing.
+//! Detectors of rest (arm and pendulum at rest before a rollout, the arm centred after a rollout,
+//! the arm still before homing), and the extremes of a swing.
 
 use crate::qube::{Encoder, Encoders, State, wrap_angle};
 
@@ -7,7 +7,7 @@ use crate::qube::{Encoder, Encoders, State, wrap_angle};
 pub const STOPPED_RAD_S: f64 = 0.5;
 
 /// Largest motion of an arm without voltage that the pendulum's swing causes, rad for each rad of
-/// the swing, whatever the signs of the encoders.
+/// the swing, with any signs of the encoders.
 pub const RECOIL: f64 = 0.7;
 
 /// Ticks at rest that a rollout requires before its policy starts: 0.3 s.
@@ -45,7 +45,7 @@ impl RestDetector {
     }
 
     /// Takes the next state and the arm's target angle, rad; returns true once the last 0.3 s were
-    /// quiet. The tolerances leave room for friction that holds the arm a little off its target.
+    /// quiet. The tolerances allow for friction that holds the arm a little off its target.
     pub fn at_rest(&mut self, state: &State, target_theta_rad: f64) -> bool {
         let quiet = (state.theta - target_theta_rad).abs() < 0.1
             && wrap_angle(state.alpha).abs() < 0.03
@@ -70,7 +70,7 @@ const CENTRED_TICKS: u32 = 60;
 /// hold the arm off the middle for as long as the brake is on.
 const OFF_STOPS_RAD: f64 = 1.5;
 
-/// Detects when the arm is centred and the pendulum no longer moves it.
+/// Detects when the arm is centred and the pendulum does not move it.
 #[derive(Clone, Copy, Debug)]
 pub struct CentredDetector {
     stay: Stay,
@@ -107,7 +107,7 @@ const STILL_RANGE_RAD: f64 = 0.1;
 /// Ticks for which a still arm must stay: 1 s.
 const STILL_TICKS: u32 = 100;
 
-/// Detects when the arm has been still for 1 s, wherever it is.
+/// Detects when the arm has been still for 1 s, at any angle.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StillnessDetector {
     stay: Stay,
@@ -167,12 +167,12 @@ pub struct SwingWindow {
 
 impl Swing {
     /// Takes the next angle, rad; returns the swing's extent at the end of each window.
-    pub fn update(&mut self, alpha_rad: f64) -> Option<SwingWindow> {
+    pub fn update(&mut self, angle_rad: f64) -> Option<SwingWindow> {
         if self.ticks == 0 {
-            (self.lowest_rad, self.highest_rad) = (alpha_rad, alpha_rad);
+            (self.lowest_rad, self.highest_rad) = (angle_rad, angle_rad);
         }
-        self.lowest_rad = self.lowest_rad.min(alpha_rad);
-        self.highest_rad = self.highest_rad.max(alpha_rad);
+        self.lowest_rad = self.lowest_rad.min(angle_rad);
+        self.highest_rad = self.highest_rad.max(angle_rad);
         self.ticks += 1;
         if self.ticks < SWING_TICKS {
             return None;

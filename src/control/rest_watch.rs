@@ -1,5 +1,5 @@
 //! Watches the counts while the amplifier is off, to decide whether the zeros of the last motion
-//! still hold.
+//! hold.
 
 use thiserror::Error;
 
@@ -11,13 +11,13 @@ use crate::qube::{CONTROL_PERIOD_S, Encoders, Measurement};
 const REST_SAMPLES: u32 = 60;
 
 /// Largest range of the arm's samples at rest, counts. All constants in counts in this file are
-/// counts of a Qube's encoders. An arm without dry friction that still creeps this much moves on by
-/// 8 counts before it stops. A smaller width would cost 8 s after each rollout on a Qube whose
-/// cable pulls the arm slowly.
+/// counts of a Qube's encoders. An arm without dry friction that creeps this much moves on by 8
+/// counts before it stops. A smaller width would cost 8 s after each rollout on a Qube whose cable
+/// pulls the arm slowly.
 const ARM_WIDTH_COUNTS: f64 = 5.0;
 
 /// Largest bend of the arm's path over 0.6 s of rest, counts: the sum of its first and last count
-/// minus twice the one half-way. An arm without dry friction swings about the angle to which its
+/// minus twice the count half-way. An arm without dry friction swings about the angle to which its
 /// cable pulls it; a stiff cable gives it a period of 3 s. Where it turns round, it moves by 5
 /// counts in 0.6 s before it swings back by 50. A swinging pendulum bends the path, too. An arm
 /// whose path is bent is at rest after [`LONG_REST_SAMPLES`].
@@ -47,7 +47,7 @@ pub struct RestingCounts {
     alpha: i32,
 }
 
-/// Reason why the zeros of the last motion no longer hold.
+/// Reason why the zeros of the last motion do not hold.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum Moved {
     /// The arm's count has changed since the last motion, by this angle, rad.
@@ -70,7 +70,7 @@ pub enum Moved {
 }
 
 impl RestingCounts {
-    /// Checks whether the zeros of the last motion hold for the next one: the arm is still at
+    /// Checks whether the zeros of the last motion hold for the next one: the arm has stayed at
     /// `before`, and the pendulum hangs at `alpha_zero_counts` or whole turns from it.
     ///
     /// # Errors
@@ -88,9 +88,9 @@ impl RestingCounts {
         }
         let whole_turn = encoders.alpha.counts_per_revolution();
         let half_turn = whole_turn / 2;
-        // If the counts of a turn are a power of two, they divide the counter's range, and a
-        // counter that wraps does no harm. With any other number, a counter that wraps means homing
-        // again.
+        // If the counts of a turn are a power of two, they divide the counter's range, and a wrap
+        // of the counter does not change the comparison. With any other number a wrap makes the
+        // comparison fail, and the arm is homed again.
         let pendulum = self.alpha.wrapping_sub(alpha_zero_counts).wrapping_add(half_turn);
         let pendulum = pendulum.rem_euclid(whole_turn) - half_turn;
         if pendulum.abs() > encoders.alpha.covering_qube_counts(TOLERANCE_COUNTS) {
@@ -183,14 +183,14 @@ impl RestWatch {
             .then(|| RestingCounts { theta: self.theta.middle(), alpha: self.alpha.middle() })
     }
 
-    /// Whether arm and pendulum have been at rest for so long that the arm neither creeps on nor
-    /// turns round: 2.4 s.
+    /// Returns whether arm and pendulum have been at rest for so long that the arm neither creeps
+    /// on nor turns round: 2.4 s.
     #[must_use]
     pub fn is_still(&self) -> bool {
         self.samples >= LONG_REST_SAMPLES
     }
 
-    /// Whether the arm's count has jumped by more than an arm can move.
+    /// Returns whether the arm's count has jumped by more than an arm can move.
     #[must_use]
     pub fn has_jumped(&self) -> bool {
         self.has_jumped
@@ -242,7 +242,7 @@ mod tests {
         assert!(matches!(now(260, zero), Err(Moved::Arm(rad)) if (rad - 0.92).abs() < 0.01));
         assert!(matches!(now(-57, zero), Err(Moved::Arm(_))));
         assert!(matches!(now(-40, zero - 17), Err(Moved::Pendulum(_))));
-        // Counters that wrap.
+        // Counters that wrap give the same result.
         let edge = RestingCounts { theta: i32::MAX, alpha: i32::MIN + 2 };
         let over = RestingCounts { theta: i32::MIN + 3, alpha: i32::MAX };
         assert_eq!(over.compare(edge, i32::MIN + 2, qube), Ok(()));

@@ -53,8 +53,8 @@ const IMPLIED_RAD_S: f64 = 0.4;
 /// Cross-checks of encoders, motor current and tachometer, on the device's clock.
 ///
 /// Limits of steps and velocities are in counts of a Qube; for another plant's encoders they are
-/// converted to the same angles. Limits within which a count counts as constant are the plant's own
-/// counts.
+/// converted to the same angles. Limits within which a count is taken as constant are in the
+/// plant's own counts.
 #[derive(Clone, Copy, Debug)]
 pub struct SensorWatch {
     plant: PlantModel,
@@ -102,8 +102,8 @@ impl Step {
         }
     }
 
-    /// Whether one of the two counts has moved farther than any arm or pendulum can.
-    /// `counts_per_qube_count` scales the limit to the plant's encoder.
+    /// Returns whether a count that has moved by `moved_counts` has moved farther than any arm or
+    /// pendulum can. `counts_per_qube_count` scales the limit to the plant's encoder.
     fn is_jump(&self, moved_counts: f64, counts_per_qube_count: f64) -> bool {
         let periods = (self.elapsed_s / CONTROL_PERIOD_S).max(1.0);
         moved_counts.abs() > counts_per_qube_count * JUMP_COUNTS * periods
@@ -186,7 +186,7 @@ impl SensorWatch {
         self.cross_check.as_ref().map(|(_, cross_check)| cross_check)
     }
 
-    /// Names the fault of an arm whose count is constant under a voltage, mV, that moves any arm.
+    /// Returns the fault of an arm whose count is constant under a voltage, mV, that moves any arm.
     #[must_use]
     pub fn why_arm_rests(&self, sample: &Measurement, voltage_mv: i16) -> Fault {
         if self.motor.is_dead(sample, voltage_mv) {
@@ -265,7 +265,7 @@ impl SensorWatch {
     }
 
     /// The alarm of a count that has moved farther since the last sample than any arm or pendulum
-    /// can. Without the cross-check a jump of the pendulum is told after the arm's tests.
+    /// can. Without the cross-check a jump of the pendulum is reported after the arm's tests.
     fn jump(&mut self, passed: &Step) -> Option<Alarm> {
         let [of_theta, of_alpha] = self.counts_per_qube_count;
         if passed.is_jump(passed.theta, of_theta) {
@@ -293,7 +293,7 @@ impl SensorWatch {
         contradiction.filter(|_| !is_sudden)
     }
 
-    /// The alarm of a count that has jumped away and back, as far as the cross-check runs.
+    /// The alarm of a count that has jumped away and back; `None` unless the cross-check runs.
     fn spike(&mut self, step: &Step) -> Option<Alarm> {
         self.cross_check.as_ref()?;
         let [of_theta, of_alpha] = self.counts_per_qube_count;
@@ -364,8 +364,8 @@ impl SensorWatch {
         }
         let rad_per_count = self.plant.encoders.theta.rad_per_count();
         let crept_counts = (STALL_RAD_S * STALL_US as f64 * 1e-6 / rad_per_count) as i32;
-        // An arm that the pendulum throws to and fro also stays near one place, but its velocity
-        // changes; only a slow arm can be stalled.
+        // An arm that the pendulum throws back and forth also stays near one place, but its
+        // velocity changes; only a slow arm can be stalled.
         if counts_s.abs() > STALL_RAD_S / rad_per_count + 1.0 / elapsed_s {
             self.stall = Push::default();
         }
@@ -391,8 +391,8 @@ impl SensorWatch {
         sample.device_time_us.saturating_sub(since_us) >= TACHOMETER_US
     }
 
-    /// Whether the arm's count, which has moved by `theta_counts` since the last sample, has
-    /// drifted away from the tachometer.
+    /// Returns whether the arm's count, which has moved by `theta_counts` since the last sample,
+    /// has drifted away from the tachometer.
     fn has_drifted(&mut self, sample: &Measurement, theta_counts: f64, elapsed_us: u64) -> bool {
         let rad_per_count = self.plant.encoders.theta.rad_per_count();
         let tachometer_rad_s = f64::from(sample.tachometer_counts_s) * rad_per_count;
@@ -438,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn one_count_between_two_samples_that_follow_each_other_at_once_is_no_jerk() {
+    fn one_count_between_two_samples_in_quick_succession_raises_no_alarm() {
         // A computer stalls for 20 ms, and the next tick follows at once.
         for close_us in [141, 242, 2_000] {
             let mut watch = SensorWatch::of(&PlantModel::QUBE);
@@ -544,7 +544,7 @@ mod tests {
 
     #[test]
     fn a_pendulum_that_stays_while_the_arm_changes_its_velocity_is_frozen() {
-        let jerking = |alpha_per_tick: i32| {
+        let accelerating = |alpha_per_tick: i32| {
             let at = move |tick: u32, sample: &mut Measurement| {
                 // From rest to 7 rad/s in 70 ms.
                 let speed = f64::from(tick.min(7)) / RAD_PER_COUNT;
@@ -555,8 +555,8 @@ mod tests {
             };
             first_alarm(60, at, false).map(|(_, fault)| fault)
         };
-        assert_eq!(jerking(0), Some(Fault::PendulumFrozen));
-        assert_eq!(jerking(-3), None);
+        assert_eq!(accelerating(0), Some(Fault::PendulumFrozen));
+        assert_eq!(accelerating(-3), None);
         // At constant velocity a pendulum hangs still.
         let steady = |tick: u32, sample: &mut Measurement| {
             sample.theta_counts = 10 * tick as i32;

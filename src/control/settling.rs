@@ -15,8 +15,8 @@ const GAINS: [f64; 4] = [1.716, -1.869, 0.46, -0.085];
 /// Largest settling voltage, V.
 const LIMIT_V: f64 = 4.0;
 
-/// The state feedback for one plant. Its gains are those of the Qube, scaled by the number of volts
-/// that accelerate this plant's arm as one volt accelerates a Qube's, if this number is above 1.
+/// The state feedback for one plant. Its gains are the Qube's, scaled by the number of volts that
+/// accelerate this plant's arm as one volt accelerates a Qube's, if this number is above 1.
 #[derive(Clone, Copy, Debug)]
 pub struct Feedback {
     gains: [f64; 4],
@@ -59,7 +59,7 @@ const LARGEST_TRIM_V: f64 = 1.2;
 /// is not frozen there would oscillate.
 const TRIM_REACH_RAD: f64 = 0.03;
 
-/// Velocity above which the arm is still moving to its target and the trim is frozen, rad/s.
+/// Velocity above which the arm counts as moving to its target and the trim is frozen, rad/s.
 const TRIM_SPEED_RAD_S: f64 = 0.5;
 
 /// A state feedback with a trim that brings a Qube to rest at its target. The trim is a voltage
@@ -105,8 +105,8 @@ impl Settler {
 /// fails.
 pub const LEAD_RAD_S: f64 = 1.2;
 
-/// Largest voltage while the pendulum is calm, V: at 1.5 times the nonidealities of `lab`, cable,
-/// friction and dead zone take 1.4 V.
+/// Largest voltage while the pendulum is calm, without the push of homing, V: at 1.5 times the
+/// nonidealities of `lab`, cable, friction and dead zone take 1.4 V.
 const GENTLE_V: f64 = 2.0;
 
 /// Slew rate of the voltage while the pendulum is calm, V/s. It is so low that a frozen encoder is
@@ -130,26 +130,27 @@ const CALM_SWING: f64 = 0.35;
 /// Swing from which on these limits are largest.
 const WIDE_SWING: f64 = 0.9;
 
-/// Time after which the gains begin to fall, ticks: 4 s.
+/// Ticks, 4 s, after which the gains begin to fall with time.
 const FULL_GAIN_TICKS: u32 = 400;
 
 /// Smallest gains, as a fraction of the full ones, after an oscillation and a long time: half of
-/// what an oscillation alone leaves. The linear loop is stable with them on a nominal Qube and on a
-/// strong motor with a short, light arm, at 22 ms of delay.
+/// the smallest gains that an oscillation alone leaves. The linear loop is stable with them on a
+/// nominal Qube and on a strong motor with a short, light arm, at 22 ms of delay.
 const LEAST_SHARE: f64 = 0.2;
 
 /// A settler that moves both the target and the voltage so slowly that an encoder that freezes
 /// meanwhile does no damage.
 ///
-/// With a delay of more than 8 ms, the limited slew rate can keep arm and pendulum swinging to and
-/// fro. Smaller gains need smaller slew rates and end the swing: the gains fall while the voltage
-/// oscillates ([`OscillationGain`]), and after `FULL_GAIN_TICKS` as the reciprocal of the time.
+/// With a delay of more than 8 ms, the limited slew rate can keep arm and pendulum swinging back
+/// and forth. Smaller gains need smaller slew rates and end the swing: the gains fall while the
+/// voltage oscillates ([`OscillationGain`]), and after `FULL_GAIN_TICKS` as the reciprocal of the
+/// time.
 #[derive(Clone, Copy, Debug)]
 pub struct GentleSettler {
     settler: Settler,
     target_rad: Option<f64>,
     voltage_v: f64,
-    /// Ticks since the target was taken up.
+    /// Ticks since the target began to move.
     ticks: u32,
     oscillation: OscillationGain,
     rules: TickRules,
@@ -183,12 +184,12 @@ impl GentleSettler {
     }
 
     /// The share of the full gains in this tick, and the growth of the trim, V/(rad s); `full_v` is
-    /// the voltage that the full gains ask for, V.
+    /// the voltage with the full gains, V.
     fn share_and_trim_rate(&mut self, full_v: f64) -> (f64, f64) {
         let of_time = f64::from(FULL_GAIN_TICKS) / f64::from(self.ticks.max(FULL_GAIN_TICKS));
         if self.rules >= TickRules::SettlingGainReducing {
             let share = (of_time * self.oscillation.update(full_v)).max(LEAST_SHARE);
-            // A trim that does not slow down with the gains would swing the arm to and fro.
+            // A trim that does not slow down with the gains would swing the arm back and forth.
             (share, share * TRIM_RATE)
         } else if self.rules >= TickRules::AlternatingAllowed {
             (of_time, TRIM_RATE)
@@ -198,7 +199,8 @@ impl GentleSettler {
     }
 
     /// The voltage of the next tick towards a target that the caller moves, plus the push `push_v`,
-    /// V. Only homing, of which there are no recordings to replay, seeks the stops with it.
+    /// V. Only homing calls it, to seek the stops. No homing is replayed from a recording, so the
+    /// result does not depend on the rules.
     pub fn follow(&mut self, state: &State, target_theta_rad: f64, push_v: f64) -> f64 {
         (self.target_rad, self.ticks) = (None, 0);
         let full_v = self.settler.feedback.voltage_v(state, target_theta_rad);
@@ -230,7 +232,7 @@ mod tests {
     use crate::qube::{HARD_STOP_RAD, NonidealDynamics, Nonidealities, QubeModel, control_step};
 
     #[test]
-    fn the_gains_are_those_of_the_lqr_on_the_nominal_parameters() {
+    fn the_gains_solve_the_lqr_of_the_nominal_parameters() {
         let solved = lqr_gains(0.0, [4.0, 2.0, 0.05, 0.2], 1.0);
         for (gain, solved) in GAINS.iter().zip(solved) {
             assert!((gain - solved).abs() < 1e-3, "{gain} {solved}");
@@ -244,7 +246,7 @@ mod tests {
 
     /// Without trim, the cable of a real Qube would hold the arm 0.3 rad off its target.
     #[test]
-    fn a_cable_and_friction_do_not_keep_the_arm_from_its_place() {
+    fn a_cable_and_friction_do_not_keep_the_arm_from_its_target() {
         let nonidealities = Nonidealities {
             coulomb_torque_n_m: 5e-4,
             negative_dead_zone_v: 0.3,
@@ -267,7 +269,7 @@ mod tests {
                         state = control_step(dynamics, state, settler.voltage(&state, 0.05));
                         state.theta = state.theta.clamp(-HARD_STOP_RAD, HARD_STOP_RAD);
                         ticks += 1;
-                        assert!(ticks < 1500, "still moving after 15 s: {state:?}");
+                        assert!(ticks < 1500, "the Qube moves after 15 s: {state:?}");
                     }
                 }
             }

@@ -45,13 +45,14 @@ const LEAST_CURRENT_A: f64 = 0.02;
 const CURRENT_ERROR_A: f64 = 0.005;
 
 /// A short push of the arm that shows how encoders and motor are wired. The voltage is open-loop,
-/// because feedback needs the signs that are still unknown.
+/// because feedback needs the signs, which are unknown before the push.
 ///
 /// The probe waits at 0 V, pushes until arm or pendulum has moved a little but for at most 0.1 s,
 /// pushes for as long the other way, brakes an arm whose motion it has measured, and waits at 0 V
 /// again. It only records; the examination evaluates the samples. A requested stop ends the probe
-/// in a stage at 0 V, and the push early; the opposite voltage and the brake follow even so, for at
-/// most 0.25 s, because 0 V alone would let the arm coast on. A fault ends the probe at once.
+/// in a stage at 0 V, and ends the push early. The opposite voltage and the brake follow the
+/// shortened push, for at most 0.25 s, because 0 V alone would let the arm coast on. A fault ends
+/// the probe at once.
 #[derive(Debug)]
 pub struct SignProbe {
     plant: PlantModel,
@@ -76,16 +77,16 @@ pub struct SignProbe {
 /// The stage of a sign probe.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ProbeStage {
-    /// No voltage.
+    /// 0 V before the push.
     #[default]
     Listen,
     /// The voltage of the push.
     Push,
-    /// The opposite voltage for as long, which leaves a free arm nearly at rest.
+    /// The opposite voltage for as long as the push, which leaves a free arm nearly at rest.
     Counter,
     /// Velocity feedback with the sign that the push has shown.
     Brake,
-    /// No voltage.
+    /// 0 V from the end of the brake, or of the opposite voltage, to the end of the probe.
     Coast,
 }
 
@@ -184,7 +185,8 @@ impl ProbeTrace {
         let first = if stage == ProbeStage::Push { first } else { first + LAG_TICKS };
         let from_rad = samples.get(first)?.theta_rad;
         let until = (last + LAG_TICKS).min(samples.len() - 1);
-        let ways = samples[first.min(until)..=until].iter().map(|s| s.theta_rad - from_rad);
+        let ways =
+            samples[first.min(until)..=until].iter().map(|sample| sample.theta_rad - from_rad);
         ways.max_by(|a, b| a.abs().total_cmp(&b.abs()))
     }
 
@@ -263,7 +265,7 @@ impl SignProbe {
         }
     }
 
-    /// Whether the stage has no voltage.
+    /// Returns whether the stage is at 0 V.
     fn is_quiet(&self) -> bool {
         matches!(self.stage, ProbeStage::Listen | ProbeStage::Coast)
     }
@@ -335,7 +337,7 @@ impl Motion for SignProbe {
             applied_v: f64::from(measurement.applied_mv).abs() * 1e-3,
             stage: self.stage,
         });
-        // A stop lets no push begin.
+        // After a requested stop no push begins.
         if !(input.stop_requested && self.is_quiet()) {
             self.advance(input.stop_requested);
         }
@@ -476,7 +478,7 @@ mod tests {
         assert_eq!(drop(0.056), 0.0, "a reading may err by that much");
     }
 
-    /// A motor without supply reads 1 mA now and then, from rounding in the converter.
+    /// The current of a motor without supply sometimes reads 1 mA, from rounding in the converter.
     #[test]
     fn a_motor_without_current_does_not_turn() {
         let mut trace = ProbeTrace::new(2.0, PlantModel::QUBE);

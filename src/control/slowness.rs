@@ -1,7 +1,7 @@
 //! Detects a program that is too slow for its control period. The loop skips whole periods that
-//! have passed, so that each deadline by itself is met nearly in time. Only the skipped periods
-//! show that the policy did not get its 100 decisions a second, so that the return does not
-//! measure the policy.
+//! have passed, so each deadline by itself is met nearly in time. Only the skipped periods show
+//! that the policy did not get its 100 decisions a second; the return then does not measure the
+//! policy.
 
 /// Share of the control periods that may be skipped, which allows for single stalls of a busy
 /// computer.
@@ -17,7 +17,8 @@ pub(super) struct SlownessWatch {
 }
 
 impl SlownessWatch {
-    /// Whether the program has skipped too many periods, with `skipped_periods` before this tick.
+    /// Takes the number of periods skipped before this tick; returns whether the program has
+    /// skipped too many.
     pub fn is_too_slow(&mut self, skipped_periods: u32) -> bool {
         let allowed = ALLOWED_SHARE * (1.0 + f64::from(skipped_periods));
         self.beyond = (self.beyond + f64::from(skipped_periods) - allowed).max(0.0);

@@ -15,7 +15,7 @@ const VELOCITY_STEP_RAD_S: f64 = 6.0;
 /// [`VELOCITY_STEP_RAD_S`], us: the change may come while the pendulum turns back.
 const CONSTANT_US: u64 = 300_000;
 
-/// The detector: the range of the pendulum's count since the count last moved, and the range of the
+/// Detector with the range of the pendulum's count since the count last moved, and the range of the
 /// arm's velocity since then.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct StillPendulum {

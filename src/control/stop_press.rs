@@ -28,8 +28,8 @@ const RETURN_TICKS: u32 = 300;
 
 /// Presses the arm outward against the stop that it touches.
 ///
-/// The arm is at its stop already, so it cannot move far even if the host vanishes while the
-/// voltage is on. Any press ends when the arm is at no stop, when the voltage does not hold it,
+/// The arm is at its stop already, so it cannot move far even if the host stops responding while
+/// the voltage is on. Any press ends when the arm is at no stop, when the voltage does not hold it,
 /// when time is up, or on a stop request or a fault.
 #[derive(Debug)]
 pub struct StopPress {
@@ -61,14 +61,14 @@ pub enum PressKind {
     /// Tests the voltage before the operator unplugs the board. It also ends as soon as a hand has
     /// pushed the arm off its stop and the motor has brought the arm back.
     Rehearsal,
-    /// Keeps up the voltage while the operator feels whether it persists.
+    /// Keeps the voltage on while the operator feels whether it lasts.
     Test,
 }
 
 /// The result of pressing the arm against its stop.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PressOutcome {
-    /// The arm has stayed at its stop so far.
+    /// The arm has stayed at its stop so far, or was pushed off it less than 3 s ago.
     #[default]
     Stayed,
     /// The arm was not at a stop.
@@ -123,8 +123,8 @@ impl StopPress {
             self.first_rad = self.state.theta.abs();
         }
         let reach_rad = self.state.theta * self.outward;
-        // An arm that leaves its stop before it has rested is compared with its first angle: else
-        // the place where it was held would count as the stop.
+        // An arm that leaves its stop before it has rested is compared with its first angle:
+        // otherwise the place where it was held would count as the stop.
         let off_rad = self.rest_rad.unwrap_or(self.first_rad) - reach_rad;
         if self.rest_rad.is_none() && self.pushed_ticks == 0 && off_rad <= PUSHED_RAD {
             if reach_rad < self.plant.limits.hard_stop_rad - NEAR_STOP_RAD {
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pushed_arm_that_comes_back_and_one_that_does_not() {
+    fn a_press_distinguishes_a_pushed_arm_that_comes_back_from_one_that_stays_away() {
         let back = after_a_push(|tick| if (200..300).contains(&tick) { 0.12 } else { 0.0 });
         assert_eq!(back, Some((300, PressOutcome::CameBack)));
         let away = after_a_push(|tick| if tick >= 200 { 0.12 } else { 0.0 });
@@ -292,29 +292,31 @@ mod tests {
     #[test]
     fn an_arm_that_leaves_its_stop_before_it_has_rested_is_not_taken_to_rest_elsewhere() {
         for kind in [PressKind::Rehearsal, PressKind::Test] {
-            // Held by a finger from the first half second on.
+            // A finger holds the arm off its stop from 0.2 s on.
             let held = press_of(kind, |tick| if tick >= 20 { 0.12 } else { 0.0 });
             assert!(
                 matches!(held, Some((tick, PressOutcome::StayedAway)) if tick < 400),
                 "{kind:?}: {held:?}"
             );
-            // Carried off slowly, and already beyond a finger's push as the rest would be stored.
+            // The arm is carried off slowly, and is off by more than `PUSHED_RAD` when its resting
+            // angle would be stored.
             let carried = press_of(kind, |tick| f64::from(tick) * 0.005);
             assert!(
                 matches!(carried, Some((tick, PressOutcome::StayedAway)) if tick < 400),
                 "{kind:?}: {carried:?}"
             );
-            // Beside the stop at first, and farther away than the stop may be before it rests.
+            // The arm is beside the stop at first, and farther away than `NEAR_STOP_RAD` before it
+            // rests.
             let beside = press_of(kind, |tick| 0.28 + f64::from(tick.min(30)) * 0.001);
             assert!(
                 matches!(beside, Some((tick, PressOutcome::NotAtStop)) if tick < 50),
                 "{kind:?}: {beside:?}"
             );
         }
-        // A finger that is early shows as much as one that waits.
+        // An early push gives the same result as a late one.
         let early = after_a_push(|tick| if (10..40).contains(&tick) { 0.12 } else { 0.0 });
         assert_eq!(early, Some((40, PressOutcome::CameBack)));
-        // The arm goes the last bit to its stop before it rests there.
+        // The arm moves the last 0.2 rad to its stop before it rests there.
         let arrived = after_a_push(|tick| match tick {
             0..40 => 0.2,
             300..400 => 0.12,

@@ -15,7 +15,7 @@ use crate::policy::Controller;
 use crate::safety::MotorHeat;
 use crate::telemetry::{Fault, TickRecord, TickSettings};
 
-/// Time between two looks at the fault that a running rollout may have latched.
+/// Interval at which the caller of a rollout checks for a latched fault.
 const LATCHED_FAULT_POLL: Duration = Duration::from_millis(20);
 
 /// A task for the control thread. It carries everything that a motion needs, so that the tick
@@ -37,7 +37,7 @@ pub struct ControlThread {
 /// The scheduling of a control thread by the operating system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheduling {
-    /// The thread asks for SCHED_FIFO and locked memory.
+    /// The thread requests SCHED_FIFO and locked memory.
     RealTime,
     /// The thread keeps the ordinary priority; enough on a virtual clock.
     Ordinary,
@@ -84,7 +84,7 @@ impl ControlThread {
         })
     }
 
-    /// The real-time rights that the operating system refused to the thread; none if it asked for
+    /// The real-time rights that the operating system refused to the thread; none if it requested
     /// none.
     #[must_use]
     pub fn realtime(&self) -> &RealtimeRefusals {
@@ -100,19 +100,20 @@ impl ControlThread {
     }
 
     /// Sends hellos to the device until it answers, the time of `retries` is over, or `stop` is
-    /// set. A device that speaks another version of the protocol ends the attempts at once.
+    /// set. An error that waiting does not cure, such as another version of the protocol, ends the
+    /// attempts at once.
     ///
     /// # Errors
     /// As for [`hello`](Self::hello).
     pub fn hello_until_answered(&self, retries: HelloRetries) -> Result<Identity, ControlError> {
         let (identified, is_hardware) =
-            self.ask(move |owner| (owner.hello(retries), owner.is_hardware()))?;
+            self.run_task(move |owner| (owner.hello(retries), owner.is_hardware()))?;
         self.is_hardware.store(is_hardware, Ordering::Relaxed);
         Ok(identified?)
     }
 
-    /// Whether the device counted as hardware after the last hello, by [`Device::is_hardware`];
-    /// true before the first hello.
+    /// Returns whether the device counted as hardware after the last hello, by
+    /// [`Device::is_hardware`]; true before the first hello.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         self.is_hardware.load(Ordering::Relaxed)
@@ -126,18 +127,18 @@ impl ControlThread {
     /// The thread is gone; the device has not answered a hello since the start or since a fault, or
     /// could not be armed.
     pub fn home(&self, settings: HomingSettings) -> Result<(DriveReport, Homed), ControlError> {
-        self.ask(move |owner| owner.home(&settings))?
+        self.run_task(move |owner| owner.home(&settings))?
     }
 
     /// Runs one rollout to its end and writes a record of each tick to `records`. Before it, arm
     /// and pendulum must be at rest where the last motion left them. If the rollout latches a fault
-    /// and the arm is still damped or braked a moment later, `on_latched` is called with the fault
-    /// on the calling thread.
+    /// and the arm is being damped or braked when the caller checks next, `on_latched` is called
+    /// with the fault on the calling thread.
     ///
     /// # Errors
     /// The thread is gone; the device has not been homed since its last hello or loan, or could not
-    /// be armed; arm or pendulum has moved or was not seen at rest since the last motion; a stop
-    /// was requested before the rollout began; or the link failed.
+    /// be armed; arm or pendulum has moved or was not seen at rest since the last motion; or a stop
+    /// was requested or the device failed before the rollout began.
     pub fn rollout(
         &self,
         settings: TickSettings,
@@ -146,15 +147,15 @@ impl ControlThread {
         on_latched: &mut dyn FnMut(Fault),
     ) -> Result<DriveReport, ControlError> {
         let result = self.begin(move |owner| owner.rollout(&settings, controller, &mut records))?;
-        let mut is_told = false;
+        let mut is_reported = false;
         loop {
             match result.recv_timeout(LATCHED_FAULT_POLL) {
                 Ok(finished) => return finished,
                 Err(RecvTimeoutError::Disconnected) => return Err(self.gone().into()),
                 Err(RecvTimeoutError::Timeout) => {}
             }
-            if let Some(fault) = self.latched.get().filter(|_| !is_told) {
-                is_told = true;
+            if let Some(fault) = self.latched.get().filter(|_| !is_reported) {
+                is_reported = true;
                 on_latched(fault);
             }
         }
@@ -165,7 +166,7 @@ impl ControlThread {
     /// # Errors
     /// The thread is gone.
     pub fn set_motor(&self, heat: MotorHeat) -> Result<(), ThreadGone> {
-        self.ask(move |owner| owner.set_motor(heat))
+        self.run_task(move |owner| owner.set_motor(heat))
     }
 
     /// The motor's heat at this moment.
@@ -173,7 +174,7 @@ impl ControlThread {
     /// # Errors
     /// The thread is gone.
     pub fn motor_heat(&self) -> Result<MotorHeat, ThreadGone> {
-        self.ask(DeviceOwner::motor_heat)
+        self.run_task(DeviceOwner::motor_heat)
     }
 
     /// Waits until the motor is cool enough for the next motion, or `stop` is set. Returns the heat
@@ -182,7 +183,7 @@ impl ControlThread {
     /// # Errors
     /// The thread is gone.
     pub fn cool_motor(&self) -> Result<MotorHeat, ThreadGone> {
-        self.ask(DeviceOwner::cool_motor)
+        self.run_task(DeviceOwner::cool_motor)
     }
 
     /// Lends the device to a task between motions, once the motor is cool enough. The task runs on
@@ -199,11 +200,11 @@ impl ControlThread {
         + Send
         + 'static,
     ) -> Result<R, ControlError> {
-        self.ask(move |owner| owner.lend(task))?
+        self.run_task(move |owner| owner.lend(task))?
     }
 
-    /// Has the thread carry out a task, and returns its result.
-    fn ask<R: Send + 'static>(
+    /// Runs a task on the thread, and returns its result.
+    fn run_task<R: Send + 'static>(
         &self,
         task: impl FnOnce(&mut DeviceOwner) -> R + Send + 'static,
     ) -> Result<R, ThreadGone> {
@@ -304,7 +305,7 @@ mod tests {
                 break ended;
             }
         };
-        // During a rollout, or before one while arm and pendulum come to rest.
+        // The port is lost during a rollout, or before one while arm and pendulum come to rest.
         assert!(
             matches!(
                 ended,
@@ -338,7 +339,7 @@ mod tests {
             ControlThread::spawn(Box::new(device), clock, Scheduling::Ordinary, Arc::default())
                 .unwrap();
         thread.hello().unwrap();
-        let lent: Result<(), _> = thread.lend(|_, _, _, _| panic!("a defect of a task"));
+        let lent: Result<(), _> = thread.lend(|_, _, _, _| panic!("the task panics on purpose"));
         assert!(matches!(lent, Err(ControlError::ThreadGone(_))), "{lent:?}");
         assert_eq!(Arc::strong_count(&in_use), 1);
         assert!(thread.hello().is_err());
@@ -422,7 +423,7 @@ mod tests {
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
         let driven = thread.cool_motor().unwrap();
         assert!(driven.load > cooled.load);
-        // A check or a power test drives too, and its time is no pause.
+        // A check or a power test drives too, and its time does not cool the motor.
         let pushed = thread.lend(|_, clock, heat, _| {
             let begun = *heat;
             clock.sleep_until(clock.now_ns() + 60_000_000_000);

@@ -32,7 +32,7 @@ const JUMP_KNOWN_TICKS: u32 = 2;
 /// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. The table
 /// of [`ControlState`] holds the transitions.
 ///
-/// The same code runs against a real Qube, against the emulated one in virtual time, and in replay.
+/// The same code runs against a real Qube, against an emulated one, and in replay.
 #[derive(Debug)]
 pub struct Tick<C = Policy> {
     settings: TickSettings,
@@ -42,8 +42,8 @@ pub struct Tick<C = Policy> {
     slowness: SlownessWatch,
     voltage: VoltageWatch,
     sensors: SensorWatch,
-    /// Tests with a push whether an arm with a constant count can move; `None` before the policy
-    /// runs and under [`TickRules::First`].
+    /// Push that tests whether an arm with a constant count can move; `None` before the policy runs
+    /// and under [`TickRules::First`].
     asking: Option<AskingPush>,
     settler: Settler,
     gentle: GentleSettler,
@@ -52,9 +52,9 @@ pub struct Tick<C = Policy> {
     control: ControlState,
     phase: Phase,
     periods_in_phase: u32,
-    /// Simulates the brake before each voltage is sent; `None` unless the guard is foresight.
+    /// Simulation of the brake before each voltage is sent; `None` unless the guard is foresight.
     foresight: Option<TrustedForesight>,
-    /// Prediction for the voltage that the policy asked for in this tick; `None` without foresight,
+    /// Prediction for the voltage that the policy requested in this tick; `None` without foresight,
     /// and in ticks in which the policy does not decide.
     angle: Option<ForeseenAngle>,
     /// Prediction because of which foresight ended the policy; `None` if foresight did not end it.
@@ -62,13 +62,13 @@ pub struct Tick<C = Policy> {
     /// Contradiction between the Qube and its profile that ended the policy; `None` if none did.
     contradiction: Option<Contradiction>,
     brake: Brake,
-    /// Whether the brake uses the arm's velocity alone, because the arm's count is doubted.
+    /// True if the brake uses the arm's velocity alone, because the arm's count is doubted.
     damps: bool,
     /// Control periods since the last sample.
     periods_without_sample: u32,
     /// Voltages sent in the last periods, newest first, V; some may not have reached the motor yet.
     sent_v: [f32; MAX_HISTORY],
-    /// Ending of the rollout; it holds once the rollout has begun to end.
+    /// Ending of the rollout, valid once the rollout has begun to end.
     reason: Ending,
     has_ended: bool,
     /// State estimates: one for the policy, one for guard, settling and brake.
@@ -123,14 +123,14 @@ impl<C: Controller> Tick<C> {
         tick
     }
 
-    /// The angle that foresight predicted in the last tick for the voltage that the policy asked
-    /// for; `None` without foresight, or if the policy did not decide.
+    /// The angle that foresight predicted in the last tick for the voltage that the policy
+    /// requested; `None` without foresight, or if the policy did not decide.
     #[must_use]
     pub fn foreseen_angle(&self) -> Option<ForeseenAngle> {
         self.angle
     }
 
-    /// The fault that the rollout has latched, also while the arm is still damped or braked.
+    /// The fault that the rollout has latched, also while the arm is being damped or braked.
     #[must_use]
     pub fn latched_fault(&self) -> Option<Fault> {
         match self.reason {
@@ -155,7 +155,7 @@ impl<C: Controller> Tick<C> {
         match action {
             ControlAction::Settle => self.phase = Phase::Settling,
             ControlAction::RunPolicy => {
-                // The box counts the pendulum's turns from the start of each rollout.
+                // The box counts the pendulum's turns from the start of the policy.
                 self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
                 self.asking = asking_push(&self.settings);
@@ -219,7 +219,7 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// The most urgent alarm of link, clock, status flags, motor and sensors in this tick.
+    /// The most urgent alarm of link, timing, status flags, motor and sensors in this tick.
     fn alarm(&mut self, input: &TickInput) -> Option<Alarm> {
         let State { alpha, alpha_dot, .. } = self.estimates.guarded;
         let swing_rad_s = Scalar::sin_cos(alpha).1 * alpha_dot;
@@ -266,18 +266,19 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// Whether an arm whose count is doubted is damped by its velocity instead of being left alone.
+    /// Returns whether an arm whose count is doubted is damped by its velocity instead of being
+    /// left alone.
     ///
     /// The count may be right although a test doubts it; with the motor off, a moving arm would
-    /// then coast into its stop. For an arm at rest the brake asks for 0 V anyway.
+    /// then coast into its stop. For an arm at rest the brake gives 0 V anyway.
     fn may_damp(&self) -> bool {
         let since =
             if self.phase == Phase::Settling { TickRules::GainReducing } else { TickRules::Damped };
         self.settings.rules >= since
     }
 
-    /// Whether this fault is the reason why box or guard began to brake. A step of the pendulum's
-    /// count is known to be a jump only one sample later.
+    /// Returns whether this fault is the reason why box or foresight began to brake. A step of the
+    /// pendulum's count is known to be a jump only one sample later.
     fn explains_brake(&self, fault: Fault) -> bool {
         self.settings.rules >= TickRules::DriftTested
             && fault == Fault::PendulumJump
@@ -286,8 +287,8 @@ impl<C: Controller> Tick<C> {
             && matches!(self.reason, Ending::LeftBox(_))
     }
 
-    /// Whether an overheated motor is a limit that the policy leaves, or because of which the arm
-    /// is being braked already. While settling it is a fault.
+    /// Returns whether an overheated motor is a limit that the policy leaves, or because of which
+    /// the arm is being braked already. Otherwise it is a fault.
     fn is_limited_by_motor(&self) -> bool {
         self.settings.rules >= TickRules::SlownessTested
             && (self.phase == Phase::Running
@@ -295,7 +296,8 @@ impl<C: Controller> Tick<C> {
                     && self.reason == Ending::LeftBox(Limit::MotorLoad)))
     }
 
-    /// The event that ends braking, once the arm has stopped, or when it does not obey the motor.
+    /// The event that ends braking, once the arm has stopped or its time to stop is over, or when
+    /// it does not obey the motor.
     fn braking_end(&mut self) -> Option<(ControlEvent, Ending)> {
         let arm = &self.estimates.guarded;
         let kind = if self.damps { BrakeKind::Damping } else { BrakeKind::Guarded };
@@ -331,10 +333,11 @@ impl<C: Controller> Tick<C> {
     /// that no simulated Qube's arm hits its stop.
     ///
     /// A firm brake whose voltage is held while samples are lost may throw a light arm back. The
-    /// simulation takes the velocity to be as exact as any: if it allowed for the larger error of a
-    /// velocity after lost samples, no share would pass when it matters most. If no share passes,
-    /// the brake's full voltage is returned. It is also returned under the rules before
-    /// [`TickRules::BrakeSimulating`], without foresight, and while the arm's count is doubted.
+    /// simulation assumes that the velocity is as exact as without lost samples. With the larger
+    /// error of a velocity after lost samples, no share would pass when the test matters most. If
+    /// no share passes, the brake's full voltage is returned. It is also returned under the rules
+    /// before [`TickRules::BrakeSimulating`], without foresight, and while the arm's count is
+    /// doubted.
     fn braking_voltage(&mut self) -> f64 {
         let wanted_v = self.brake.voltage_v(&self.estimates.guarded);
         if self.settings.rules < TickRules::BrakeSimulating || self.damps {
@@ -384,7 +387,7 @@ impl<C: Controller> Tick<C> {
         self.foresight.as_mut()?.too_late_for(&state, &self.sent_v, voltage_v)
     }
 
-    /// Puts the last voltage into the history, for this period and for `more_periods` skipped ones.
+    /// Puts the last voltage into `sent_v`, for this period and for `more_periods` skipped ones.
     fn remember_sent(&mut self, more_periods: u32) {
         for _ in 0..=more_periods.min(MAX_HISTORY as u32) {
             self.sent_v.rotate_right(1);
@@ -392,7 +395,7 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// Tells a running policy which voltage the motor has had since the last tick.
+    /// Passes the voltage that the motor has had since the last tick to a running policy.
     fn pass_applied_voltage(&mut self, skipped_periods: u32) {
         if self.phase == Phase::Running {
             // A policy looks back over at most `MAX_HISTORY` periods.
@@ -483,7 +486,7 @@ impl<C: Controller> Motion for Tick<C> {
         self.pass_applied_voltage(input.skipped_periods);
         self.remember_sent(input.skipped_periods);
 
-        // Watch link, clock, the device's status flags, and sensors.
+        // Watch link, timing, the device's status flags, motor and sensors.
         if let Some(alarm) = self.alarm(input)
             && self.react(alarm)
         {
@@ -504,16 +507,16 @@ impl<C: Controller> Motion for Tick<C> {
         }
         let contradiction = self.contradiction_of_profile(measurement.device_time_us);
 
-        // Guard: change the phase if the state demands it. The second pass ends a brake that has
+        // Guard: change the phase if the state requires it. The second pass ends a brake that has
         // just begun and finds the arm at rest.
         for _ in 0..2 {
-            let was = self.phase;
+            let before = self.phase;
             if let Some((event, reason)) = self.event(input, contradiction)
                 && self.take(event, reason)
             {
                 return self.off();
             }
-            if self.phase == was || self.phase != Phase::Braking {
+            if self.phase == before || self.phase != Phase::Braking {
                 break;
             }
         }
@@ -531,7 +534,8 @@ impl<C: Controller> Motion for Tick<C> {
         };
 
         // Simulate the brake, unless it is on. If braking after this voltage would come too late,
-        // the brake takes over: for good while the policy runs, for this tick while settling.
+        // the brake takes over: to the end of the rollout while the policy runs, for this tick
+        // while settling.
         if self.phase != Phase::Braking
             && let Some(foreseen) = self.too_late_for(self.voltage_mv)
         {

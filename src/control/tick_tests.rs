@@ -1,4 +1,4 @@
-//! Tests of a rollout against a simulated Qube: its phases, and the effect of each mishap.
+//! Tests of a rollout against a simulated Qube: its phases, and the effect of each disturbance.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -65,14 +65,14 @@ fn rollout_until(
     (report, std::iter::from_fn(|| consumer.pop().ok()).collect())
 }
 
-/// Whether the voltage of this tick drives an arm that moves fast on in its direction.
+/// Returns whether the voltage of this tick accelerates an arm that already moves fast.
 fn drives_on(record: &TickRecord) -> bool {
     record.state.theta_dot.abs() > 3.0
         && f64::from(record.voltage_mv) * record.state.theta_dot > 0.0
 }
 
-/// Checks that the brake has the motor from the record at `first` on, that its first voltage works
-/// against the arm's motion, and that the arm is at rest in the end.
+/// Checks that the brake controls the motor from the record at `first` on, that its first voltage
+/// works against the arm's motion, and that the arm is at rest in the end.
 #[track_caller]
 fn is_braked_from(records: &[TickRecord], first: usize) {
     let braking = records.iter().position(|record| record.phase == Phase::Braking);
@@ -92,19 +92,19 @@ fn a_rollout_settles_swings_up_and_stops() {
     assert_eq!(report.outcome.ending, Ending::Completed);
     assert_eq!(report.outcome.steps, 600);
     assert_eq!(report.outcome.missed_deadlines, 0);
-    let running: Vec<_> = records.iter().filter(|r| r.phase == Phase::Running).collect();
+    let running: Vec<_> = records.iter().filter(|record| record.phase == Phase::Running).collect();
     assert_eq!(running.len(), 600);
     assert!((running[0].state.theta - 0.05).abs() < 0.1);
     assert!(wrap_angle(running[599].state.alpha - PI).abs() < 0.2);
-    assert_eq!(records.last().map(|r| r.phase), Some(Phase::Braking));
+    assert_eq!(records.last().map(|record| record.phase), Some(Phase::Braking));
 }
 
 #[test]
-fn a_pendulum_that_was_left_turned_round_starts_at_alpha_near_zero() {
+fn a_pendulum_that_hangs_whole_turns_away_starts_at_alpha_near_zero() {
     let mut device = PlantDevice::new(State { alpha: 6.0 * PI, ..State::default() });
     let (report, records) = rollout(&mut device, classical(), false);
     assert_eq!(report.outcome.ending, Ending::Completed);
-    let first = records.iter().find(|r| r.phase == Phase::Running).unwrap();
+    let first = records.iter().find(|record| record.phase == Phase::Running).unwrap();
     assert!(first.state.alpha.abs() < 0.05, "{:?}", first.state);
     assert!(first.state.alpha_dot.abs() < 0.5, "{:?}", first.state);
 }
@@ -115,7 +115,7 @@ fn a_policy_that_pushes_outward_leaves_the_box_and_is_braked() {
     let policy = Policy::Classical(outward());
     let (report, records) = rollout(&mut device, policy, false);
     assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Theta));
-    let braking = records.iter().find(|r| r.phase == Phase::Braking).unwrap();
+    let braking = records.iter().find(|record| record.phase == Phase::Braking).unwrap();
     assert!(f64::from(braking.voltage_mv) * braking.state.theta_dot < 0.0);
     assert!(device.voltages_mv.iter().all(|voltage_mv| voltage_mv.abs() <= 5000));
 }
@@ -175,32 +175,33 @@ fn foresight_ends_no_swing_up_of_a_nominal_qube() {
     assert_eq!(tick.control_state(), ControlState::Ready);
 }
 
-/// A controller whose voltage changes with each call, and that stores the voltages that it is told.
+/// A controller whose voltage changes with each call, and that stores the voltages that it
+/// receives.
 #[derive(Default)]
 struct Listener {
     starts: u32,
-    told_v: Vec<f64>,
-    asked: u32,
+    received_v: Vec<f64>,
+    calls: u32,
 }
 
 impl Controller for &mut Listener {
     fn start(&mut self) {
         self.starts += 1;
-        self.told_v.clear();
+        self.received_v.clear();
     }
 
     fn applied(&mut self, voltage_v: f64) {
-        self.told_v.push(voltage_v);
+        self.received_v.push(voltage_v);
     }
 
     fn voltage_v(&mut self, _: &State) -> f64 {
-        self.asked += 1;
-        if self.asked == 3 { -7.0 } else { 0.2 * f64::from(self.asked % 5) - 0.4 }
+        self.calls += 1;
+        if self.calls == 3 { -7.0 } else { 0.2 * f64::from(self.calls % 5) - 0.4 }
     }
 }
 
 #[test]
-fn a_policy_is_told_what_the_motor_had_in_each_period_of_its_rollout() {
+fn a_policy_receives_the_voltage_that_the_motor_had_in_each_period_of_its_rollout() {
     let mut device = PlantDevice::new(State::default());
     device.disturbance = Box::new(|tick| match tick {
         80 => Some(TestFault::Slow(34_000_000)),
@@ -221,10 +222,10 @@ fn a_policy_is_told_what_the_motor_had_in_each_period_of_its_rollout() {
             expected_v.extend(std::iter::repeat_n(voltage_v, periods));
         }
     }
-    assert_eq!(listener.told_v, expected_v);
+    assert_eq!(listener.received_v, expected_v);
     assert_eq!(listener.starts, 1);
-    assert!(expected_v.contains(&-5.0), "what is told is limited");
-    assert!(expected_v.len() > listener.asked as usize, "nothing was held over");
+    assert!(expected_v.contains(&-5.0), "the policy does not receive the limited voltage");
+    assert!(expected_v.len() > listener.calls as usize, "no voltage was held over");
 }
 
 #[test]
@@ -236,8 +237,8 @@ fn the_last_hundred_ticks_travel_with_a_fault() {
     assert_eq!(report.last_ticks, records[records.len() - 100..]);
 }
 
-/// The classical controller until it has driven a fast arm on for two ticks; it then asks for no
-/// number, and notes the state.
+/// A controller that acts like the classical one until it has accelerated a fast arm for two ticks,
+/// then returns NaN and stores the state.
 struct Failing<'a> {
     classical: ClassicalController,
     ticks: u32,
@@ -296,9 +297,9 @@ fn a_stop_brakes_at_once() {
         let stopped_at = |at: Option<usize>| {
             let stop = Arc::new(AtomicBool::new(false));
             let mut device = PlantDevice::new(State::default());
-            let asked = Arc::clone(&stop);
+            let requested = Arc::clone(&stop);
             device.disturbance = Box::new(move |sample| {
-                asked.fetch_or(Some(sample as usize) == at, Ordering::Relaxed);
+                requested.fetch_or(Some(sample as usize) == at, Ordering::Relaxed);
                 None
             });
             rollout_until(&mut device, &settings, classical(), &stop)
@@ -308,9 +309,9 @@ fn a_stop_brakes_at_once() {
             .iter()
             .enumerate()
             .filter(|(_, record)| record.phase == Phase::Running && drives_on(record));
-        let ats: Vec<usize> = driven.map(|(at, _)| at).step_by(15).collect();
-        assert!(ats.len() > 2, "{ats:?}");
-        for at in ats {
+        let stop_ticks: Vec<usize> = driven.map(|(at, _)| at).step_by(15).collect();
+        assert!(stop_ticks.len() > 2, "{stop_ticks:?}");
+        for at in stop_ticks {
             let (report, records) = stopped_at(Some(at));
             assert_eq!(report.outcome.ending, Ending::Stopped);
             assert_eq!(records[at - 1], undisturbed[at - 1]);
@@ -322,7 +323,7 @@ fn a_stop_brakes_at_once() {
 #[test]
 fn settling_that_finds_no_rest_ends_after_15_s() {
     let mut device = PlantDevice::new(State::default());
-    // A rollout needs 0.3 s of rest, and light blows to and fro come every 0.25 s.
+    // A rollout needs 0.3 s of rest, and light blows back and forth come every 0.25 s.
     device.blow = |sample, state| match sample % 50 {
         0 => state.alpha_dot += 0.8,
         25 => state.alpha_dot -= 0.8,
@@ -443,7 +444,7 @@ fn the_motors_heat_follows_the_speed_that_the_guard_sees() {
     let (seen, heating) = speeds(TickRules::NEWEST);
     assert!(heating > 1.5 * seen && seen > 0.0, "{seen} {heating}");
     let (seen, heating) = speeds(TickRules::RestByEncoders);
-    assert_eq!(seen, heating, "an older recording replays as it was recorded");
+    assert_eq!(seen, heating, "an older recording does not replay as it was recorded");
 }
 
 /// The classical controller, whose decisions take 15 ms.

@@ -1,14 +1,14 @@
-//! Detects a motor that does not have the voltage that the program sends. Each sample says which
-//! voltage the motor had. A device whose reports contradict the voltages that it was sent cannot be
-//! used to brake the arm.
+//! Detects a motor that does not have the voltage that the program sends. Each sample reports the
+//! voltage that the motor had. A device whose reports contradict the voltages that it was sent
+//! cannot be used to brake the arm.
 
 use super::TickInput;
 use super::watch::Alarm;
 use crate::qube::{Measurement, applied_voltage_mv};
 use crate::telemetry::Fault;
 
-/// Number of periods whose voltages the motor may still have: the device keeps its last voltage
-/// until an act arrives, and its watchdog switches the motor off at most 55 ms after the last act.
+/// Number of periods whose voltages the motor may have: the device keeps its last voltage until an
+/// act arrives, and its watchdog switches the motor off at most 55 ms after the last act.
 const PERIODS: usize = 7;
 
 /// Largest difference that rounding explains, mV: two steps of a Qube's motor driver.
@@ -92,7 +92,7 @@ mod tests {
         };
         let wrong: [fn(i16) -> i16; 3] = [|_| 1500, |_| 0, |sent_mv| -sent_mv];
         for wrong_mv in wrong {
-            let found = from_30(wrong_mv).expect("a motor with a voltage of its own");
+            let found = from_30(wrong_mv).expect("a wrong voltage raises an alarm");
             assert!((32..=40).contains(&found), "{found}");
         }
     }

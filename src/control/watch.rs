@@ -32,8 +32,8 @@ const RATE_TOLERANCE: f64 = 0.1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alarm {
     /// Switch the amplifier off at once, because link, clock, amplifier, motor or the arm's count
-    /// cannot be trusted. A rollout first damps the arm after a fault for which
-    /// [`Fault::doubts_count`] is true.
+    /// cannot be trusted, or the emergency stop is pressed. A rollout first damps the arm after a
+    /// fault for which [`Fault::doubts_count`] is true.
     SwitchOff(Fault),
     /// Stop the arm first, because link, amplifier and the arm's count can be trusted; then switch
     /// the amplifier off.
@@ -44,7 +44,7 @@ pub enum Alarm {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Watch {
     last_valid_ns: Option<u64>,
-    /// Late ticks since the last tick in time, of those with a valid sample.
+    /// Number of late ticks with a valid sample since the last tick in time.
     late_ticks: u32,
     clock: ClockWatch,
     ignores_clock: bool,
@@ -61,8 +61,9 @@ struct ClockWatch {
 }
 
 impl ClockWatch {
-    /// Whether the device's clock is wrong: it stops (as for a repeated sample), goes back, or runs
-    /// at another rate. `asked_ns` is the computer's time of the request.
+    /// Returns whether the device's clock is wrong: it stops (as for a repeated sample), leaps
+    /// forward, goes back, or runs at another rate. `asked_ns` is the computer's time of the
+    /// request.
     fn is_wrong(&mut self, asked_ns: u64, device_us: u64) -> bool {
         let Some((last_ns, last_us)) = self.last.replace((asked_ns, device_us)) else {
             return false;
@@ -77,7 +78,7 @@ impl ClockWatch {
             || self.is_wrong_for_long(asked_ns, device_us)
     }
 
-    /// Whether the clock's rate is wrong by an amount that single periods do not show.
+    /// Returns whether the clock's rate is wrong by an amount that single periods do not show.
     fn is_wrong_for_long(&mut self, asked_ns: u64, device_us: u64) -> bool {
         let (since_ns, since_us) = *self.long_since.get_or_insert((asked_ns, device_us));
         let host_us = asked_ns.saturating_sub(since_ns) / 1000;

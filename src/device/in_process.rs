@@ -69,7 +69,7 @@ impl Line {
 }
 
 impl InProcessWire {
-    /// A wire to a board that starts at this call.
+    /// A wire to a board that started when the clock showed 0.
     #[must_use]
     pub fn new(settings: EmulatorSettings, clock: VirtualClock) -> Self {
         Self {

@@ -1,5 +1,5 @@
 //! Access to a Qube: the serial link of the host, the vendor's library for a Qube with the USB
-//! panel, and separately the emulator, which speaks the protocol from the device's side.
+//! panel, and separately the emulator, which implements the device's side of the protocol.
 //!
 //! The control thread sees a Qube only through the trait [`Device`]. The room may import `clock`,
 //! `qube` and the crate `firmware_protocol`. The emulator never imports the host's side of the
@@ -52,7 +52,7 @@ const MAX_SAMPLE_AGE_NS: Nanoseconds = firmware_protocol::MAX_SAMPLE_AGE_US as N
 enum AmplifierState {
     /// Off without a fault.
     Off,
-    /// Follows acts.
+    /// On; the motor follows acts.
     Armed,
     /// Switched off by its watchdog.
     Tripped,
@@ -65,19 +65,21 @@ enum AmplifierState {
 /// most, and `act` does not wait. The other calls are made outside the tick and may take seconds,
 /// because a board may be restarting and a card must be opened.
 pub trait Device: Send {
-    /// Greets the device and reads its identity. The motor is off afterwards, whatever the device
-    /// did before.
+    /// Greets the device and reads its identity. The motor is off afterwards, even if the device
+    /// drove it before.
     ///
     /// # Errors
-    /// The port is gone; or the device does not answer, is not a Qube, or speaks another protocol
-    /// version.
+    /// The port is gone; the device does not answer, is not a Qube, has no Qube behind it, or uses
+    /// another protocol version; the emergency-stop switch was opened, or the Qube switched off,
+    /// since the first hello; or the vendor's library or its card fails.
     fn hello(&mut self) -> Result<Identity, DeviceError>;
 
     /// Arms the amplifier at 0 V; from then on the amplifier follows acts. A hello must precede the
-    /// first arm, and the first arm after each latched fault; after a disarm none is needed.
+    /// first arm, and the first arm after each latched fault; an arm after a disarm needs no hello.
     ///
     /// # Errors
-    /// The device refuses, does not answer, or has restarted since its last hello.
+    /// The device refuses, does not answer, or has restarted since its last hello; or a hello that
+    /// arming repeats fails.
     fn arm(&mut self) -> Result<(), DeviceError>;
 
     /// Requests one sample and waits for it until `deadline_ns`.
@@ -107,8 +109,8 @@ pub trait Device: Send {
     fn disarm(&mut self) -> Result<(), DeviceError>;
 
     /// Opens the connection again after its port was gone, under a name that stays with the device.
-    /// The caller then sends a [`hello`](Self::hello), whose identity shows whether it [is the same
-    /// board](Identity::is_same_board). A backend without a port does nothing.
+    /// The caller then sends a [`hello`](Self::hello), whose identity shows whether the device [is
+    /// the same board](Identity::is_same_board). A backend without a port does nothing.
     ///
     /// # Errors
     /// The port does not exist yet, or may not be opened.
@@ -116,9 +118,9 @@ pub trait Device: Send {
         Ok(())
     }
 
-    /// Whether [`Measurement::device_time_us`] comes from a clock of the device. A backend without
-    /// such a clock fills in the computer's time of the request; a sample that was delayed in
-    /// transit then goes unnoticed.
+    /// Returns whether [`Measurement::device_time_us`] comes from a clock of the device. A backend
+    /// without such a clock fills in the computer's time at which the read began; a sample that was
+    /// delayed in transit then goes unnoticed.
     fn has_device_clock(&self) -> bool {
         true
     }
@@ -132,7 +134,7 @@ pub trait Device: Send {
     /// Sets the time that a tick waits for its sample, ns. A backend without a link ignores it.
     fn set_sample_time_ns(&mut self, _sample_time_ns: Nanoseconds) {}
 
-    /// Whether a real motor may be behind the backend. A backend that cannot tell counts as
+    /// Returns whether a real motor may be behind the backend. A backend that cannot tell counts as
     /// hardware.
     fn is_hardware(&self) -> bool {
         true
@@ -156,7 +158,7 @@ pub struct Identity {
     /// hello reveals a restart.
     #[serde(default)]
     pub boot_id: u16,
-    /// Whether the counters have begun anew since the last hello although the board has not
+    /// True if the counters have begun anew since the last hello although the board has not
     /// restarted, because its Qube was off while the port was gone.
     #[serde(skip)]
     pub counts_anew: bool,
@@ -165,14 +167,15 @@ pub struct Identity {
 }
 
 impl Identity {
-    /// Whether both identities are of the same board, even after a restart or on another port.
+    /// Returns whether both identities are of the same board, even after a restart or on another
+    /// port.
     #[must_use]
     pub fn is_same_board(&self, other: &Self) -> bool {
         self.kind == other.kind && self.serial == other.serial
     }
 
-    /// Whether the later identity `other` is of the same board without a restart of board or Qube
-    /// in between, so that the zeros of its counts still hold.
+    /// Returns whether the later identity `other` is of the same board without a restart of board
+    /// or Qube in between, so that the zeros of its counts hold.
     #[must_use]
     pub fn is_same_start(&self, other: &Self) -> bool {
         self.is_same_board(other) && self.boot_id == other.boot_id && !other.counts_anew
@@ -189,7 +192,7 @@ pub enum LinkFault {
     /// The port is gone: unplugged, or the other end closed it.
     #[error("the port is gone (unplugged?)")]
     Gone,
-    /// The port accepts no more bytes.
+    /// The port accepts no more bytes, or the vendor's library no more requests.
     #[error("the port took no more bytes")]
     Full,
     /// The device is not armed, so that an act moves nothing.
@@ -199,7 +202,7 @@ pub enum LinkFault {
     #[error("the device has restarted since its last hello")]
     Restarted,
     /// The board answers, but the Qube behind it does not.
-    #[error("the Qube no longer answers its board (switched off?)")]
+    #[error("the Qube does not answer its board (switched off?)")]
     QubeOff,
     /// The watchdog of the device has switched the amplifier off.
     #[error("the device's watchdog switched the motor off")]
@@ -239,7 +242,7 @@ pub enum DeviceError {
     NotAQube {
         /// The port.
         port: String,
-        /// Reason for this conclusion, in words: the wrong answer, or that none came.
+        /// Reason for this conclusion, in words, such as the wrong answer, or that none came.
         reason: String,
     },
     /// The board answers, but the Qube that it controls does not.
@@ -253,7 +256,7 @@ pub enum DeviceError {
         /// Module id in place of the Qube's.
         module_id: u16,
     },
-    /// A device that answered before no longer answers.
+    /// A device that answered before has fallen silent.
     #[error(
         "{port} answered until {silent_s:.1} s ago, then {since}. Switch the Qube off, then check the \
          board's supply and its USB cable"
@@ -272,7 +275,7 @@ pub enum DeviceError {
         /// The port.
         port: String,
     },
-    /// The device speaks another protocol version.
+    /// The device uses another protocol version.
     #[error(
         "{port} uses protocol version {theirs}, this program uses {ours}. Flash the firmware of this release"
     )]
@@ -293,7 +296,7 @@ pub enum DeviceError {
         /// The port.
         port: String,
     },
-    /// The Qube was switched off since the last hello, while its board ran on.
+    /// The Qube was switched off since the first hello, while its board ran on.
     #[error(
         "the Qube at {port} was switched off since this program began: start again when nobody is near the arm"
     )]
@@ -301,8 +304,8 @@ pub enum DeviceError {
         /// The port.
         port: String,
     },
-    /// The device says that its motor is on, although it was told to switch it off.
-    #[error("{port} still says that its motor is on")]
+    /// The device reports that its motor is on, although it has received a disarm.
+    #[error("{port} reports that its motor is still on")]
     StaysArmed {
         /// The port.
         port: String,
@@ -339,10 +342,10 @@ pub enum DeviceError {
 }
 
 impl DeviceError {
-    /// Whether the device may answer after a while without any change of its settings: its port
-    /// comes back, another program closes it, the board starts, or the Qube is switched on.
-    /// Waiting cures neither another version of the protocol nor an emergency stop, nor a Qube that
-    /// was switched off, which somebody may be about to touch.
+    /// Returns whether the caller may try again after a while: the port may come back, another
+    /// program may close it, the board may start, or the Qube may be switched on. Waiting cures
+    /// neither another version of the protocol nor an emergency stop, nor a Qube that was switched
+    /// off, which somebody may be about to touch; every other error counts as curable.
     #[must_use]
     pub fn is_cured_by_waiting(&self) -> bool {
         !matches!(

@@ -14,7 +14,7 @@ impl<P: AsRawFd> PortFd<P> {
 
     /// Sets the driver's low-latency mode, because an FTDI adapter otherwise holds bytes back for
     /// up to 16 ms. Ports without this mode, for example ptys, stay as they are.
-    pub(super) fn ask_for_low_latency(&self) {
+    pub(super) fn set_low_latency(&self) {
         // struct serial_struct of <linux/serial.h>: 72 bytes at most, `flags` its fifth int.
         const FLAGS: usize = 4;
         const ASYNC_LOW_LATENCY: i32 = 1 << 13;

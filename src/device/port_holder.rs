@@ -10,9 +10,10 @@ pub(super) fn holder_of(port: &str) -> String {
     pid.map_or_else(|| "another program".to_owned(), described)
 }
 
-/// Describes the process that has locked a port, as `process 1234 (name)`; `None` if the port is
-/// not locked or the process cannot be found. The port is not opened. A process that has the port
-/// open without a lock does not count, because the emulated Qube has its own port open.
+/// Describes the process that has locked a port, as `process 1234 (name)`, or `process 1234` where
+/// the name cannot be read; `None` if the port is not locked or the process cannot be found. The
+/// port is not opened. A process that has the port open without a lock does not count, because the
+/// emulated Qube has its own port open.
 #[must_use]
 pub fn locker_of(port: &str) -> Option<String> {
     find_locker(Path::new(port)).map(described)
@@ -36,8 +37,8 @@ fn find_locker(port: &Path) -> Option<u32> {
     locks.lines().find_map(|lock| locker(lock, &file))
 }
 
-/// The id of the process in a line of `/proc/locks` that locks `file`, given as
-/// `major:minor:inode`. Example: `1: FLOCK ADVISORY WRITE 708 00:14:3 0 EOF`.
+/// The id of the process in a line of `/proc/locks`; `None` unless the line is a `flock` lock of
+/// `file`, given as `major:minor:inode`. Example: `1: FLOCK ADVISORY WRITE 708 00:14:3 0 EOF`.
 fn locker(lock: &str, file: &str) -> Option<u32> {
     let mut words = lock.split_whitespace().skip(1);
     (words.next()? == "FLOCK").then_some(())?;

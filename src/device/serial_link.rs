@@ -17,10 +17,11 @@ use crate::qube::{Measurement, Status};
 
 const MS: Nanoseconds = 1_000_000;
 
-/// Interval between hellos, ns; a device that boots misses some of them.
+/// Interval between hellos, and between the samples that precede a hello, ns; a device that boots
+/// misses some of them.
 const HELLO_INTERVAL_NS: Nanoseconds = 100 * MS;
 
-/// Time after which an unanswered arm or disarm is repeated, ns.
+/// Time that an arm, a disarm and a sample before a hello wait for the answer, ns.
 const ANSWER_TIME_NS: Nanoseconds = 100 * MS;
 
 /// Number of attempts to arm or disarm: a healthy line may lose a frame.
@@ -41,24 +42,24 @@ pub struct SerialLink<T: Transport> {
     sequence: u16,
     /// Nonce for the next arm, or the reason why the device arms only after a hello.
     arm_nonce: Result<u32, RefusalReason>,
-    /// Whether the last hello was answered by an emulator; `false` if the hello failed.
+    /// True if an emulator answered the last hello; false if the hello failed.
     is_emulator: bool,
     /// Boot id that the caller's last hello returned.
     boot_id: Option<u16>,
-    /// Whether an arm or disarm has found that the device has restarted since that hello.
+    /// True if an arm or disarm has found that the device has restarted since that hello.
     has_restarted: bool,
     /// Operator actions seen since the first hello.
     seen: Seen,
-    /// Whether the port was opened again since the last answered hello.
+    /// True if opening the port again was attempted since the last successful hello.
     was_reopened: bool,
     amplifier: AmplifierState,
     device_time: DeviceTime,
     /// Last sample since the last hello, the only one that an act may answer.
     last_sample: Option<LastSample>,
-    /// Whether a frame may be incomplete on the wire; the next request then begins with a delimiter
+    /// True if a frame may be incomplete on the wire; the next request then begins with a delimiter
     /// that ends that frame.
     broken_frame: bool,
-    heard: Traffic,
+    traffic: Traffic,
     sample_time_ns: Option<Nanoseconds>,
 }
 
@@ -112,7 +113,7 @@ impl<T: Transport> SerialLink<T> {
             device_time: DeviceTime::default(),
             last_sample: None,
             broken_frame: false,
-            heard: Traffic::default(),
+            traffic: Traffic::default(),
             sample_time_ns: None,
         }
     }
@@ -149,12 +150,12 @@ impl<T: Transport> SerialLink<T> {
             }
             let mut awaited = None;
             for &byte in &buffer[..length] {
-                self.heard.bytes += 1;
+                self.traffic.bytes += 1;
                 let Some(Ok(frame)) = self.decoder.push(byte) else { continue };
                 let reply = Reply::parse(&frame);
                 if reply.is_ok() {
                     let answered_ns = Some(self.clock.now_ns());
-                    self.heard = Traffic { answered_ns, ..Traffic::default() };
+                    self.traffic = Traffic { answered_ns, ..Traffic::default() };
                 }
                 match reply {
                     Ok(reply) if frame.sequence == sequence => awaited = Some(reply),
@@ -162,7 +163,7 @@ impl<T: Transport> SerialLink<T> {
                         self.note_refusal(refused_type, reason);
                     }
                     Ok(_) => {}
-                    Err(_) if Request::parse(&frame).is_ok() => self.heard.requests += 1,
+                    Err(_) if Request::parse(&frame).is_ok() => self.traffic.requests += 1,
                     Err(_) => {}
                 }
             }
@@ -194,7 +195,8 @@ impl<T: Transport> SerialLink<T> {
         self.await_reply(sequence, deadline_ns)
     }
 
-    /// Repeats hellos until one is answered or the transport's boot time is over.
+    /// Repeats hellos until a reply to one comes or the transport's boot time is over; refusals do
+    /// not count.
     fn greet(&mut self) -> Result<HelloReply, DeviceError> {
         // Any device may have restarted a moment ago, even if it has answered before.
         let wait_ns = self.transport.boot_time_ns();
@@ -225,7 +227,7 @@ impl<T: Transport> SerialLink<T> {
         Err(self.silence(&format!("{nothing} answer to {hellos} hellos"), wait_ns))
     }
 
-    /// Forgets what holds only for the start that the last hello greeted.
+    /// Clears the state that holds only for the device's start that the last hello greeted.
     fn forget_start(&mut self) {
         self.arm_nonce = Err(RefusalReason::NotGreeted);
         self.last_sample = None;
@@ -236,7 +238,7 @@ impl<T: Transport> SerialLink<T> {
 
     /// The error for requests that have got no useful answer for `wait_ns`.
     fn silence(&self, nothing: &str, wait_ns: Nanoseconds) -> DeviceError {
-        let Traffic { answered_ns, bytes, requests } = self.heard;
+        let Traffic { answered_ns, bytes, requests } = self.traffic;
         let nothing = format!("{nothing} in {:.1} s", wait_ns as f64 * 1e-9);
         if let Some(answered_ns) = answered_ns {
             let silent_s = (self.clock.now_ns() - answered_ns) as f64 * 1e-9;
@@ -290,23 +292,24 @@ impl<T: Transport> SerialLink<T> {
     }
 
     /// Sends a hello; returns its answer, and whether the Qube's counters have begun anew without a
-    /// restart of the board. Every hello but the first is preceded by a sample, because a hello
-    /// clears the device's latch of an emergency-stop switch that is closed again, and the state of
-    /// a device whose Qube was off (PROTOCOL.md, "No Qube"). Without an answer to the sample no
-    /// hello is sent: an operator may have used the switch while nothing was heard.
+    /// restart of the board. A sample precedes every hello after the first successful one, because
+    /// a hello clears the device's latch of an emergency-stop switch that is closed again, and the
+    /// state of a device whose Qube was off (PROTOCOL.md, "No Qube"). Without an answer to the
+    /// sample no hello is sent: an operator may have used the switch while no answer arrived.
     ///
     /// # Errors
-    /// The errors of [`greet`](Self::greet); or the switch was opened, or the Qube switched off,
-    /// since the first hello: only a new link moves this Qube again. A Qube that was off while the
-    /// port was gone is not counted, since the operator is asked to switch it off then.
+    /// The errors of [`greet`](Self::greet) and [`first_answer`](Self::first_answer); or the switch
+    /// was opened, or the Qube switched off, since the first hello: only a new link moves this Qube
+    /// again. A Qube that was off while the port was gone is not counted, since the operator is
+    /// asked to switch it off then.
     fn greet_unless_stopped(&mut self) -> Result<(HelloReply, bool), DeviceError> {
         let Some(boot_id) = self.boot_id else { return Ok((self.greet()?, false)) };
-        let mut wants_hello = false;
+        let mut needs_hello = false;
         match self.first_answer()? {
             Reply::Sample(sample) => {
                 self.see_stop(sample.status.has(StatusBits::EMERGENCY_STOP));
             }
-            Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => wants_hello = true,
+            Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => needs_hello = true,
             Reply::Refusal { reason: RefusalReason::QubeAbsent, .. } => {
                 self.seen.qube_off |= !self.was_reopened;
             }
@@ -320,7 +323,7 @@ impl<T: Transport> SerialLink<T> {
             return Err(DeviceError::SwitchedOff { port });
         }
         let reply = self.greet()?;
-        let counts_anew = wants_hello && reply.boot_id == boot_id;
+        let counts_anew = needs_hello && reply.boot_id == boot_id;
         if counts_anew && !self.was_reopened {
             self.seen.qube_off = true;
             return Err(DeviceError::SwitchedOff { port });
@@ -328,7 +331,7 @@ impl<T: Transport> SerialLink<T> {
         Ok((reply, counts_anew))
     }
 
-    /// The first answer to a sample that tells the device's state, within the transport's boot
+    /// The first answer to a sample that shows the device's state, within the transport's boot
     /// time: the sample, or the refusal of a device that was not greeted or has no Qube.
     fn first_answer(&mut self) -> Result<Reply, DeviceError> {
         let wait_ns = self.transport.boot_time_ns();
@@ -530,7 +533,7 @@ impl<T: Transport> Device for SerialLink<T> {
         self.amplifier = AmplifierState::Off;
         for attempt in 1.. {
             match self.exchange(Request::Disarm, ANSWER_TIME_NS) {
-                // Only a device that says so has switched its motor off.
+                // A device has switched its motor off only if its reply reports so.
                 Ok(Reply::Disarm(reply)) if reply.state == DeviceState::Armed => {
                     if attempt == ATTEMPTS {
                         let port = self.name();
@@ -589,7 +592,7 @@ impl<T: Transport> Drop for SerialLink<T> {
     }
 }
 
-/// Whether a new hello may remedy this refusal of an arm.
+/// Returns whether a new hello may remedy this refusal of an arm.
 fn is_cured_by_greeting(reason: RefusalReason) -> bool {
     matches!(reason, RefusalReason::WrongNonce | RefusalReason::AlreadyArmed)
 }

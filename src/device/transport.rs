@@ -25,7 +25,7 @@ pub trait Transport: Send {
         Ok(())
     }
 
-    /// The wire's name for users: the path of the port.
+    /// The wire's name for users, such as the path of the port.
     fn name(&self) -> &str;
 
     /// Time for which a device may leave hellos unanswered because it is starting, ns; opening the

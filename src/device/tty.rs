@@ -127,7 +127,7 @@ fn open_port(port: &str) -> Result<(PortFd<TTYPort>, bool), DeviceError> {
     let fd = PortFd::new(tty);
     rustix::io::ioctl_fionbio(&fd, true)
         .map_err(|error| DeviceError::Io { port: port.to_owned(), source: error.into() })?;
-    fd.ask_for_low_latency();
+    fd.set_low_latency();
     Ok((fd, has_modem_lines))
 }
 
@@ -146,8 +146,8 @@ fn open_error(port: &str, error: serialport::Error) -> DeviceError {
     }
 }
 
-/// Whether a file can be opened and is not a terminal; the serial library reports such a file as
-/// "not a typewriter".
+/// Returns whether a file can be opened and is not a terminal; the serial library reports such a
+/// file as "not a typewriter".
 fn is_no_terminal(port: &str) -> bool {
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
     rustix::fs::open(port, flags, Mode::empty()).is_ok_and(|file| !rustix::termios::isatty(file))

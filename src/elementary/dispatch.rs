@@ -8,8 +8,8 @@
 //! All paths compute the same bits as long as a kernel sums in a fixed order: vector instructions
 //! round like scalar ones, and `mul_add` is correctly rounded everywhere. Only x86 processors
 //! without FMA (before 2013) pay for this, because `mul_add` is a slow library call there. A kernel
-//! whose results need not be the same everywhere may avoid `mul_add` where
-//! [`InstructionSet::LEVEL`] says so.
+//! whose results need not be the same everywhere may avoid `mul_add` depending on
+//! [`InstructionSet::LEVEL`].
 //!
 //! Trap: every function that a kernel calls must be `#[inline(always)]` or small enough to be
 //! inlined. A function that is not inlined is compiled without the instruction set, and each
@@ -36,7 +36,7 @@ pub trait InstructionSet {
     const LEVEL: Level;
 }
 
-/// The instruction sets that code exists for, best first.
+/// The instruction sets for which kernels are compiled, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Level {
     /// AVX-512 (F, VL, BW, DQ) with FMA.
@@ -69,7 +69,7 @@ impl Level {
         FIRST_ALLOWED.store(self as u8, Ordering::Relaxed);
     }
 
-    /// Whether this processor supports the level.
+    /// Returns whether this processor supports the level.
     #[must_use]
     #[inline]
     pub fn is_available(self) -> bool {

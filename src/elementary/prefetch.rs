@@ -1,5 +1,5 @@
-/// Asks the processor to load a value into its cache. It changes no value, and does nothing on
-/// architectures without such an instruction.
+/// Requests that the processor load a value into its cache. It changes no value, and does nothing
+/// on architectures without such an instruction.
 #[inline(always)]
 pub fn prefetch<T>(wanted: &T) {
     // SAFETY: a prefetch of any address neither reads a value nor faults, and SSE is part of

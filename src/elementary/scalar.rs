@@ -1,7 +1,7 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// The arithmetic that the equations of motion need, so that they are written once for the `f64` of
-/// the emulator and for the `f32` lanes of the simulation.
+/// The arithmetic that the equations of motion need, so that they are written once for `f64`, for
+/// the `f32` lanes of simulations, and for the identification's numbers with derivatives.
 pub trait Scalar:
     Copy
     + PartialOrd
@@ -18,7 +18,7 @@ pub trait Scalar:
     fn abs(self) -> Self;
 
     /// `self * factor + summand`. `f32` rounds once, because its kernels run where a fused
-    /// multiply-add is one fast instruction; `f64` runs outside of kernels and rounds twice.
+    /// multiply-add is one fast instruction; the others run outside of kernels and round twice.
     fn mul_add(self, factor: Self, summand: Self) -> Self;
 
     /// The largest integer that is not above the value.

@@ -9,8 +9,9 @@
 //! The coefficients of the polynomials are minimax fits of this project: iteratively reweighted
 //! least squares (Lawson's algorithm) in double precision on 4000 Chebyshev-spaced points, the
 //! quotient linearised with the denominator of the previous round. The fitted coefficients are then
-//! rounded to `f32`; those of cos one after the other, with the remaining ones fitted again each
-//! time. The error bounds below include `f32` rounding and are tested on dense grids.
+//! rounded to `f32`. The coefficients of cos are rounded one after the other, with the remaining
+//! ones fitted again each time. The error bounds below include `f32` rounding and are tested on
+//! dense grids.
 
 use super::Scalar;
 
@@ -70,7 +71,7 @@ pub fn sin_cos(x: f32) -> (f32, f32) {
     (f32::from_bits(sin.to_bits() ^ sign), f32::from_bits(cos.to_bits() ^ sign))
 }
 
-/// e^x; relative error at most 2e-7 on [-87, 88]. Outside that range the result is that of the
+/// e^x; relative error at most 2e-7 on [-87, 88]. Outside that range the result is the value at the
 /// nearer end (1.6e-38 or 1.7e38), so that it remains a normal number. NaN stays NaN.
 ///
 /// Multiplies 2^n by a polynomial of degree 5 in the remainder, which is within +-ln 2 / 2.
@@ -167,7 +168,7 @@ mod tests {
     }
 
     /// Fits the quotient of tanh as the module's page describes, on fewer points and in fewer
-    /// rounds. Returns the coefficients of the numerator, then those of the denominator.
+    /// rounds. Returns the coefficients of the numerator, then of the denominator.
     fn fitted_tanh() -> [f64; 7] {
         const POINTS: u32 = 400;
         const ROUNDS: usize = 100;
@@ -212,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn the_coefficients_of_tanh_are_those_of_the_fit() {
+    fn the_coefficients_of_tanh_agree_with_the_fit() {
         let coefficients = TANH_NUMERATOR.into_iter().chain(TANH_DENOMINATOR).map(f64::from);
         for (coefficient, fitted) in coefficients.zip(fitted_tanh()) {
             assert!((coefficient / fitted - 1.0).abs() < 5e-5, "{coefficient:e} {fitted:e}");

@@ -2,8 +2,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::qube::{Encoder, Encoders, Measurement};
 
-/// Maps one rig's encoder counts to angles, and voltages to the device's sign. Signs differ between
-/// rigs; zeros change from day to day.
+/// Conversion of one rig's encoder counts to angles, and of voltages to the device's sign. Signs
+/// differ between rigs; zeros change from day to day.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
@@ -12,11 +12,11 @@ pub struct Calibration {
     /// Count of the pendulum's encoder at alpha 0: the count while the pendulum hangs, or a count
     /// that is whole turns away from it.
     pub alpha_zero_counts: i32,
-    /// Whether the arm's encoder counts down while theta grows.
+    /// True if the arm's encoder counts down while theta grows.
     pub theta_inverted: bool,
-    /// Whether the pendulum's encoder counts down while alpha grows.
+    /// True if the pendulum's encoder counts down while alpha grows.
     pub alpha_inverted: bool,
-    /// Whether a positive voltage of the device turns the arm towards negative theta.
+    /// True if a positive voltage of the device turns the arm towards negative theta.
     pub voltage_inverted: bool,
     /// Resolution of the encoders; a file without this entry means a Qube's encoders.
     #[serde(default, skip_serializing_if = "Encoders::are_qube")]

@@ -4,7 +4,7 @@ use super::observer::Observer;
 use super::{Calibration, EstimatorSettings, FilterGains, through_filters};
 use crate::qube::{Measurement, State, wrap_angle};
 
-/// Estimates the state from encoder samples at times of the device's clock.
+/// Estimator of the state from encoder samples at times of the device's clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimator {
     settings: EstimatorSettings,
@@ -105,8 +105,8 @@ impl Estimator {
         *estimates
     }
 
-    /// Number of times that the observer diverged and was reset to encoders and filter; 0 without
-    /// an observer.
+    /// Number of times that the observer was reset to encoders and filter, because it had diverged
+    /// or too long an interval had passed without a sample; 0 without an observer.
     #[must_use]
     pub fn observer_resets(&self) -> u32 {
         self.observer.as_ref().map_or(0, Observer::observer_resets)
@@ -179,13 +179,13 @@ mod tests {
     }
 
     /// The plant of a test, advanced to its last sample.
-    struct Ride {
+    struct TestPlant {
         sent: SentVoltages,
         state: State,
         now_us: u64,
     }
 
-    impl Ride {
+    impl TestPlant {
         fn new(model: &QubeModel) -> Self {
             let sent = SentVoltages::new(model.nonidealities.command_delay_s, 0.0);
             Self { sent, state: State { theta: 0.2, alpha: 0.1, ..State::default() }, now_us: 0 }
@@ -231,7 +231,7 @@ mod tests {
     /// the instant at which the command acts.
     fn velocity_errors(settings: EstimatorSettings, ahead_us: u64) -> (f64, f64) {
         let model = real();
-        let mut ride = Ride::new(&model);
+        let mut plant = TestPlant::new(&model);
         let mut estimator = Estimator::new(settings, Calibration::IDENTITY);
         let (mut theta, mut alpha, mut samples) = (0.0, 0.0, 0.0);
         for tick in 0..300_u64 {
@@ -240,22 +240,22 @@ mod tests {
                 continue;
             }
             let now_us = tick * 10_000;
-            ride.state = ride.at(&model, now_us);
-            ride.now_us = now_us;
-            let Estimates { seen, .. } = estimator.update(&ride.sample());
-            let then = ride.at(&model, now_us + ahead_us);
-            theta += (seen.theta_dot - then.theta_dot).powi(2);
-            alpha += (seen.alpha_dot - then.alpha_dot).powi(2);
+            plant.state = plant.at(&model, now_us);
+            plant.now_us = now_us;
+            let Estimates { seen, .. } = estimator.update(&plant.sample());
+            let later = plant.at(&model, now_us + ahead_us);
+            theta += (seen.theta_dot - later.theta_dot).powi(2);
+            alpha += (seen.alpha_dot - later.alpha_dot).powi(2);
             samples += 1.0;
             let voltage_v = 3.0 * (0.13 * tick as f64).sin().signum();
             estimator.send(voltage_v);
-            ride.sent.send(now_us, voltage_v);
+            plant.sent.send(now_us, voltage_v);
         }
         ((theta / samples).sqrt(), (alpha / samples).sqrt())
     }
 
     #[test]
-    fn an_observer_of_the_right_qube_knows_the_velocities_at_the_instant_of_the_command() {
+    fn an_observer_of_the_right_qube_predicts_the_velocities_at_the_instant_of_the_command() {
         let observer = EstimatorSettings::observer(ObserverSettings::of(real()));
         let (theta, alpha) = velocity_errors(observer, 13_400);
         println!("observer {theta} {alpha}");
@@ -282,15 +282,15 @@ mod tests {
         ]
         .map(|settings| Estimator::new(settings, Calibration::IDENTITY));
         let model = real();
-        let mut ride = Ride::new(&model);
+        let mut plant = TestPlant::new(&model);
         for tick in 0..200_u64 {
-            ride.state = ride.at(&model, tick * 10_000);
-            ride.now_us = tick * 10_000;
+            plant.state = plant.at(&model, tick * 10_000);
+            plant.now_us = tick * 10_000;
             let voltage_v = 4.0 * (0.1 * tick as f64).sin();
-            ride.sent.send(ride.now_us, voltage_v);
-            let expected = plain.update(&ride.sample());
+            plant.sent.send(plant.now_us, voltage_v);
+            let expected = plain.update(&plant.sample());
             for other in &mut others {
-                let estimates = other.update(&ride.sample());
+                let estimates = other.update(&plant.sample());
                 assert_eq!(estimates.guarded, expected.guarded);
                 assert!(tick < 5 || estimates.seen != expected.seen || other.observer_resets() > 0);
                 assert!(estimates.seen.is_finite());
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn an_observer_that_has_lost_the_qube_starts_anew_from_encoders_and_filter_and_says_so() {
+    fn a_diverged_observer_restarts_from_encoders_and_filter_and_counts_the_reset() {
         let settings = EstimatorSettings::observer(ObserverSettings::default());
         let mut estimator = Estimator::new(settings, Calibration::IDENTITY);
         let at = |tick: u64, theta_counts| Measurement {

@@ -6,9 +6,9 @@ use crate::qube::Encoder;
 ///
 /// The axis is modelled as angle and velocity, driven by an unmodelled acceleration that is
 /// constant over one interval T and white from interval to interval with standard deviation
-/// `sigma_a`. The angle's noise is that of an encoder, uniform over one count: `sigma_r` = (2 pi /
-/// counts a revolution) / sqrt(12). The Riccati equation then has a closed solution in the tracking
-/// index `Lambda = sigma_a T^2 / sigma_r` (P. R. Kalata, IEEE Trans. AES 20 (1984) 174):
+/// `sigma_a`. The angle's noise is an encoder's, uniform over one count: `sigma_r` = (2 pi / counts
+/// a revolution) / sqrt(12). The Riccati equation then has a closed solution in the tracking index
+/// `Lambda = sigma_a T^2 / sigma_r` (P. R. Kalata, IEEE Trans. AES 20 (1984) 174):
 ///
 /// ```text
 /// r = (4 + Lambda - sqrt(8 Lambda + Lambda^2)) / 4
@@ -53,21 +53,21 @@ mod tests {
     /// The gains to which the Riccati recursion converges.
     fn iterated(noise_rad_s2: f64, interval_s: f64) -> (f64, f64) {
         let (t, variance) = (interval_s, noise_rad_s2 * noise_rad_s2);
-        let noise = Encoder::QUBE.rad_per_count().powi(2) / 12.0;
+        let angle_variance = Encoder::QUBE.rad_per_count().powi(2) / 12.0;
         let (mut p11, mut p12, mut p22) = (1.0, 0.0, 1.0);
         let mut gains = (0.0, 0.0);
         for _ in 0..20_000 {
             p11 += 2.0 * t * p12 + t * t * p22 + 0.25 * variance * t.powi(4);
             p12 += t * p22 + 0.5 * variance * t.powi(3);
             p22 += variance * t * t;
-            gains = (p11 / (p11 + noise), p12 / (p11 + noise));
+            gains = (p11 / (p11 + angle_variance), p12 / (p11 + angle_variance));
             (p22, p12, p11) = (p22 - gains.1 * p12, (1.0 - gains.0) * p12, (1.0 - gains.0) * p11);
         }
         gains
     }
 
     #[test]
-    fn the_closed_form_is_where_the_riccati_recursion_comes_to() {
+    fn the_riccati_recursion_converges_to_the_closed_form() {
         for noise_rad_s2 in [0.3, 10.0, 300.0] {
             for interval_s in [0.005, 0.01, 0.03] {
                 let gains = KalmanGains::steady_state(Encoder::QUBE, noise_rad_s2, interval_s);
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_that_is_trusted_hardly_listens_and_one_that_is_not_takes_the_angle_as_it_is() {
+    fn a_small_model_error_gives_small_gains_and_a_large_error_takes_the_measured_angle() {
         let gains = KalmanGains::steady_state(Encoder::QUBE, 1e-3, 0.01);
         assert!(gains.angle < 0.05 && gains.velocity < 0.1, "{gains:?}");
         let gains = KalmanGains::steady_state(Encoder::QUBE, 1e5, 0.01);

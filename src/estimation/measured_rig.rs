@@ -2,8 +2,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Calibration;
 
-/// Positions of the arm's two hard stops relative to the arm's zero, as homing touched them, or as
-/// offset and travel in the settings place them around the middle that the operator gave by hand.
+/// Positions of the arm's two hard stops relative to the arm's zero. Homing finds them by touch; if
+/// the operator centred the arm by hand, they follow from offset and travel in the settings.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredStops {
@@ -27,13 +27,13 @@ impl MeasuredStops {
     }
 }
 
-/// The calibration and stops of a rig that homing measured.
+/// The calibration and the stops that homing measured on a rig.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredRig {
     /// Signs, zeros and resolution of the encoders, and the sign of the voltage.
     pub calibration: Calibration,
-    /// Positions of the stops; `None` where the operator centred the arm by hand and the
-    /// settings name neither an offset nor a travel.
+    /// Positions of the stops; `None` where the operator centred the arm by hand, and the settings
+    /// have the offset 0 and name no travel.
     pub stops: Option<MeasuredStops>,
 }

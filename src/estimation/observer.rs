@@ -14,7 +14,7 @@ const MAX_INTERVAL_US: u64 = 100_000;
 /// entry beyond the bound, or with one that is not a number, is discarded.
 const DIVERGED: f64 = 1e4;
 
-/// The observer's equations, for one real Qube or for the simulated Qubes that vector instructions
+/// The observer's equations, for one Qube or for the simulated Qubes that vector instructions
 /// compute side by side (lanes).
 #[derive(Clone, Copy, Debug)]
 pub struct ObserverEquations<T = f64> {
@@ -73,15 +73,15 @@ impl<T: Scalar> ObserverEquations<T> {
     }
 }
 
-/// Selects one of two states number by number, which becomes vector code; a branch between states
-/// does not.
+/// Selects one of two states number by number: the compiler turns these selections into vector
+/// code, but not a branch between states.
 #[inline(always)]
-fn choose<T: Scalar>(first: bool, a: &State<T>, b: &State<T>) -> State<T> {
+fn choose<T: Scalar>(takes_first: bool, first: &State<T>, second: &State<T>) -> State<T> {
     State {
-        theta: if first { a.theta } else { b.theta },
-        alpha: if first { a.alpha } else { b.alpha },
-        theta_dot: if first { a.theta_dot } else { b.theta_dot },
-        alpha_dot: if first { a.alpha_dot } else { b.alpha_dot },
+        theta: if takes_first { first.theta } else { second.theta },
+        alpha: if takes_first { first.alpha } else { second.alpha },
+        theta_dot: if takes_first { first.theta_dot } else { second.theta_dot },
+        alpha_dot: if takes_first { first.alpha_dot } else { second.alpha_dot },
     }
 }
 
@@ -171,7 +171,7 @@ impl Observer {
         self.estimate.alpha += by_rad;
     }
 
-    /// Number of times that the observer diverged and was reset.
+    /// Number of times that the observer was reset, after a divergence or too long an interval.
     pub(super) fn observer_resets(&self) -> u32 {
         self.observer_resets
     }

@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn each_voltage_acts_from_its_delay_until_that_of_the_next() {
+    fn each_voltage_acts_after_its_delay_until_the_next_voltage_acts() {
         let mut sent = SentVoltages::new(0.013, 0.0);
         assert_eq!(pieces(&sent, 0, 10_000), [(0.0, 10_000)]);
         sent.send(0, 1.0);

@@ -7,7 +7,7 @@ use crate::qube::{ModelError, Nonidealities, QubeModel};
 pub const GUARD_CORNER_RAD_S: f64 = 200.0;
 
 /// Largest corner of a velocity filter that is accepted, rad/s. At 100 Hz a corner of 1000 rad/s
-/// already filters nothing.
+/// already filters almost nothing.
 pub const LARGEST_CORNER_RAD_S: f64 = 1e6;
 
 /// Settings of the estimator whose state the policy sees.
@@ -25,9 +25,9 @@ pub struct EstimatorSettings {
     pub observer: Option<ObserverSettings>,
 }
 
-/// Settings of an observer with a model of the Qube. It predicts with the equations of motion and
-/// the voltages that were sent, corrects with the encoders, and returns the state at the instant at
-/// which the command being computed will reach the motor.
+/// Settings of an observer with a model of the Qube. The observer predicts with the equations of
+/// motion and the voltages that were sent, corrects with the encoders, and returns the state at the
+/// instant at which the command being computed will reach the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ObserverSettings {
@@ -83,7 +83,7 @@ impl EstimatorSettings {
         self.corner_rad_s.max(GUARD_CORNER_RAD_S)
     }
 
-    /// Whether policy and guard see the same state.
+    /// Returns whether policy and guard see the same state.
     #[must_use]
     pub fn policy_sees_as_guard(&self) -> bool {
         self.observer.is_none() && self.corner_rad_s >= GUARD_CORNER_RAD_S
@@ -153,7 +153,7 @@ mod tests {
     use crate::qube::DomainParameters;
 
     #[test]
-    fn files_that_name_a_corner_alone_still_mean_the_filter_and_are_written_the_same() {
+    fn files_that_name_a_corner_alone_select_the_filter_and_are_written_the_same() {
         let text = "corner_rad_s = 50.0\n";
         let settings: EstimatorSettings = toml::from_str(text).unwrap();
         assert_eq!(settings, EstimatorSettings::filter(50.0));

@@ -1,8 +1,8 @@
 use crate::elementary::Scalar;
 use crate::qube::State;
 
-/// Estimates velocity from angles with the filter omega s / (s + omega), discretised exactly for an
-/// angle that moves linearly between samples:
+/// Estimator of a velocity from angles by the filter omega s / (s + omega), discretised exactly for
+/// an angle that moves linearly between samples:
 ///
 /// ```text
 /// v_k = e^(-omega T) v_(k-1) + (1 - e^(-omega T)) (x_k - x_(k-1)) / T

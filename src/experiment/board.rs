@@ -11,7 +11,8 @@ impl Experiment {
     /// recording, so that no other board is driven.
     ///
     /// # Errors
-    /// A search or a recording cannot be read, or the settings of the rig are for another board.
+    /// A search or a recording cannot be read, or the settings of the rig are for another board. A
+    /// damaged recording is passed over.
     pub(super) fn rig_on_the_same_board(&self) -> Result<RigSettings, ExperimentError> {
         let mut rig = self.rig().clone();
         if !rig.is_hardware() {
@@ -104,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_real_qube_stays_the_board_of_the_first_recording() {
+    fn an_experiment_on_a_real_qube_stays_on_the_board_of_its_first_recording() {
         let root = tempfile::tempdir().unwrap();
         let port = || DeviceChoice::Port("/dev/no-such-qube".into());
         let bound = |device, board| {
@@ -121,8 +122,8 @@ mod tests {
         // A profile counts for the guard only if the Qube's file names its board.
         assert_eq!(bound(port(), None).unwrap(), (Some("one".into()), false));
         assert_eq!(bound(port(), Some("one")).unwrap(), (Some("one".into()), true));
-        let told = bound(port(), Some("two")).unwrap_err().to_string();
-        assert!(told.contains("board two is named in the place of board one"), "{told}");
+        let message = bound(port(), Some("two")).unwrap_err().to_string();
+        assert!(message.contains("board two is named in the place of board one"), "{message}");
         // The board of an unreadable recording is unknown, so no other board is driven.
         {
             let begun = experiment(root.path(), port(), None);

@@ -1,4 +1,4 @@
-//! Comparisons of the recipes of an experiment, pair by pair, on the same plant.
+//! Comparisons of the recipes or methods of an experiment, two at a time, on the same plant.
 
 use rand::{RngExt as _, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -40,9 +40,10 @@ pub struct Comparison {
     /// p-value of `return_difference`: a permutation test of the signs of the pairs' differences
     /// (Fisher 1935), two-sided, corrected by Holm in the same way; 1 where there is no difference.
     pub return_p: f64,
-    /// Share of all combinations of one policy of each recipe, whatever their numbers, in which the
-    /// second's return is higher; ties count half (Vargha and Delaney 2000). Equal recipes have
-    /// 0.5. NaN where a recipe has no policy with a return.
+    /// Share of all combinations of one policy of each recipe, also of policies with unequal
+    /// numbers, in which the second's return is higher; policies without a return are left out, and
+    /// ties count half (Vargha and Delaney 2000). Equal recipes have 0.5. NaN where a recipe has no
+    /// policy with a return.
     pub superiority: f64,
 }
 
@@ -66,8 +67,9 @@ impl Results {
 }
 
 impl Comparison {
-    /// The smallest value that `success_p` can have with so many pairs and comparisons: its value
-    /// where all policies of one recipe succeed and all policies of the other fail.
+    /// The smallest value that `success_p` can have with so many pairs and comparisons, if no other
+    /// comparison has a smaller p-value: its value where all policies of one recipe succeed and all
+    /// policies of the other fail.
     #[must_use]
     pub fn smallest_success_p(&self) -> f64 {
         (self.corrected_for as f64 * mcnemar(self.pairs, 0)).min(1.0)
@@ -128,9 +130,9 @@ fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
 /// none differs.
 fn mcnemar(gained: usize, lost: usize) -> f64 {
     let differing = gained + lost;
-    // The loop computes the logarithm of each count's probability under a fair coin from the one of
-    // the count before. The probability itself would be too small for an f64 where more than 1074
-    // pairs differ.
+    // The loop computes the logarithm of each count's probability under a fair coin from the
+    // logarithm for the count before. The probability itself would be too small for an f64 where
+    // more than 1074 pairs differ.
     let mut log_probability = -std::f64::consts::LN_2 * differing as f64;
     let mut tail = 0.0;
     for count in 0..=gained.min(lost) {
@@ -228,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn holm_corrects_by_the_number_of_what_is_left() {
+    fn holm_corrects_by_the_number_of_remaining_p_values() {
         // R: p.adjust(c(0.01, 0.04, 0.03, 0.005), "holm").
         let corrected = holm(&[0.01, 0.04, 0.03, 0.005]);
         for (found, expected) in corrected.iter().zip([0.03, 0.06, 0.06, 0.02]) {
@@ -238,15 +240,15 @@ mod tests {
     }
 
     #[test]
-    fn of_equal_recipes_half_are_better() {
+    fn equal_recipes_have_a_superiority_of_one_half() {
         assert_eq!(superiority(&[1.0, 2.0], &[1.0, 2.0]), 0.5);
         assert_eq!(superiority(&[1.0, 2.0], &[3.0, 4.0]), 1.0);
         assert!(superiority(&[], &[1.0]).is_nan());
     }
 
-    /// Under equal recipes a test at 5 % may find a difference in one of twenty experiments.
+    /// A test at 5 % may find a difference between equal recipes in one of twenty experiments.
     #[test]
-    fn equal_recipes_differ_as_often_as_the_level_says() {
+    fn equal_recipes_differ_as_often_as_the_level_of_the_test_allows() {
         let mut random = ChaCha8Rng::seed_from_u64(1000);
         let found = (0..400)
             .filter(|_| {

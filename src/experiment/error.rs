@@ -74,7 +74,7 @@ pub enum ExperimentError {
 }
 
 impl ExperimentError {
-    /// Whether the experiment ended because a stop was requested.
+    /// Returns whether the experiment ended because a stop was requested.
     #[must_use]
     pub fn is_stop(&self) -> bool {
         let error = match self {

@@ -41,7 +41,7 @@ pub enum ExperimentEvent<'a> {
         plant: &'a str,
         /// Results of the rollouts.
         results: &'a [RolloutResult],
-        /// Whether this process trained the policy or recorded one of its rollouts.
+        /// Time of the last training or rollout for the results.
         made: Made,
     },
     /// A recommendation has been scored, or the method gave a reason for having none.
@@ -63,15 +63,15 @@ pub enum ExperimentEvent<'a> {
     NotScored {
         /// Number of these budgets.
         budgets: usize,
-        /// Whether this process made the score at the nearest budget that has one;
-        /// [`Made::Earlier`] if no budget has one.
+        /// Time of the score at the nearest budget that has one; [`Made::Earlier`] if no budget has
+        /// one.
         made: Made,
     },
     /// A repetition of a method has ended.
     Over {
         /// Repetition with all its recommendations.
         repetition: &'a Repetition,
-        /// Whether this process made one of its scores; [`Made::Earlier`] without any.
+        /// Time of the last score; [`Made::Earlier`] without any.
         made: Made,
     },
 }

@@ -38,7 +38,7 @@ impl ExperimentFolder {
     /// Name of the file with the settings.
     pub(crate) const SETTINGS: &str = "experiment.toml";
 
-    /// Whether a folder is an experiment that has begun.
+    /// Returns whether a folder is an experiment that has begun.
     #[must_use]
     pub fn is_in(root: &Path) -> bool {
         MachineDisk.exists(&settings_in(root))
@@ -48,7 +48,7 @@ impl ExperimentFolder {
     /// The partial settings of an experiment that was killed at its start are replaced.
     ///
     /// # Errors
-    /// The folder has other content or cannot be created, or another process holds it.
+    /// The folder has other content, cannot be created or written, or another process holds it.
     pub fn create(root: &Path, settings: &str) -> Result<Self, ExperimentError> {
         let exists = || FolderError::Exists { path: root.to_owned() };
         let settings_path = settings_in(root);
@@ -75,7 +75,7 @@ impl ExperimentFolder {
     /// Opens the folder of an experiment that has begun.
     ///
     /// # Errors
-    /// The folder is not an experiment, or another process holds it.
+    /// The folder is not an experiment, cannot be locked, or another process holds it.
     pub fn open(root: &Path) -> Result<Self, ExperimentError> {
         if !Self::is_in(root) {
             let (path, missing) = (root.to_owned(), Self::SETTINGS);

@@ -4,8 +4,9 @@ use super::ExperimentFolder;
 use crate::recording::is_recording;
 use crate::session::{RigSessions, SessionPaths};
 
-/// Whether an existing file is a recording, or a file from which a session or an experiment goes
-/// on. Nothing can compute these again, so that no command replaces them, not even by force.
+/// Returns whether a file is a recording, or by its name the ledger or the settings of a session,
+/// the settings of an experiment, or the list of the devices of several sessions. No command can
+/// compute such a file again, so no command replaces it, not even by force.
 #[must_use]
 pub fn is_irreplaceable(path: &Path) -> bool {
     const NAMES: [&str; 4] = [

@@ -1,9 +1,9 @@
-/// Whether this process made a result. A result of several parts is [`Self::Now`] if any part is.
+/// Time at which a result was made. A result of several parts is [`Self::Now`] if any part is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Made {
-    /// Before this process began: the result was on disk.
+    /// The result was on disk before this process began.
     Earlier,
-    /// Since this process began: a policy was trained for it, or a rollout recorded.
+    /// This process trained a policy or recorded a rollout for the result.
     Now,
 }
 

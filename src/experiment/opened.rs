@@ -36,8 +36,8 @@ impl Experiment {
     }
 
     /// Trains on this executor, or with `None` on this computer's cores; the policies do not depend
-    /// on it. Methods that train in a way of their own, such as `adr` and `so-cma`, do so on this
-    /// computer in any case.
+    /// on this choice. Methods with a training of their own, such as `adr` and `so-cma`, always
+    /// train on this computer.
     #[must_use]
     pub fn trained_by(mut self, executor: Option<Arc<dyn Executor>>) -> Self {
         self.executor = executor;
@@ -86,7 +86,7 @@ impl Experiment {
         &self.stop
     }
 
-    /// Whether rollouts run in virtual time. Many emulated Qubes then run at once.
+    /// Returns whether rollouts run in virtual time. Many emulated Qubes then run at once.
     pub(super) fn is_virtual(&self) -> bool {
         self.rig.clock == ClockChoice::Virtual
     }

@@ -36,7 +36,7 @@ impl<'a, Item: Send> Queue<'a, Item> {
         threads: usize,
         work: impl Fn(Item) -> Result<Vec<Item>, ExperimentError> + Sync,
     ) -> Result<(), ExperimentError> {
-        let gone = std::thread::scope(|scope| {
+        let panicked = std::thread::scope(|scope| {
             let workers: Vec<_> =
                 (0..threads.max(1)).map(|_| scope.spawn(|| self.worker_loop(&work))).collect();
             workers.into_iter().map(|worker| worker.join().is_err()).fold(false, |a, b| a | b)
@@ -44,7 +44,7 @@ impl<'a, Item: Send> Queue<'a, Item> {
         let state = self.state.into_inner().unwrap_or_else(PoisonError::into_inner);
         match state.failure {
             Some(failure) => Err(failure),
-            None if gone => Err(ExperimentError::WorkerGone),
+            None if panicked => Err(ExperimentError::WorkerGone),
             None if self.stop.load(Ordering::Relaxed) && !state.waiting.is_empty() => {
                 Err(SessionError::Stopped.into())
             }
@@ -91,7 +91,8 @@ impl<'a, Item: Send> Queue<'a, Item> {
     }
 }
 
-/// Marks an item as done when it is dropped, and wakes the threads that wait for further items.
+/// A guard that, when it is dropped, marks an item as done and wakes the threads that wait for
+/// items.
 struct Done<'q, 'a, Item: Send>(&'q Queue<'a, Item>);
 
 impl<Item: Send> Drop for Done<'_, '_, Item> {
@@ -108,11 +109,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn work_that_makes_work_is_all_done_on_any_number_of_threads() {
+    fn all_items_that_follow_from_items_are_done_on_any_number_of_threads() {
         for threads in [1, 2, 5] {
             let stop = AtomicBool::new(false);
             let done = AtomicUsize::new(0);
-            // Each item of size n makes two of size n - 1, down to size 0: 2^5 - 1 in all.
+            // Each item of size n adds two items of size n - 1, down to size 0: 2^5 - 1 in all.
             let outcome = Queue::new([4_u32], &stop).run(threads, |size| {
                 done.fetch_add(1, Ordering::Relaxed);
                 Ok(if size == 0 { Vec::new() } else { vec![size - 1; 2] })
@@ -123,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_failure_ends_it_and_a_stop_too() {
+    fn a_failure_ends_the_queue_and_so_does_a_stop() {
         let stop = AtomicBool::new(false);
         let done = AtomicUsize::new(0);
         let outcome = Queue::new(0..100, &stop).run(2, |number| {

@@ -20,8 +20,8 @@ pub struct Recipe {
     /// Named distribution of the recipe's simulations.
     pub model: Model,
     /// All other settings, as in a `session.toml`. Name, seed and emulated Qube come from the
-    /// experiment. The extent is that of the search for psi; its steps and repetitions also hold
-    /// for the policies' rollouts.
+    /// experiment. The extent describes the search for psi; its steps and repetitions also hold for
+    /// the policies' rollouts.
     #[serde(default)]
     pub settings: SessionSettings,
 }
@@ -38,8 +38,8 @@ struct RecipeFile {
 }
 
 impl Recipe {
-    /// A recipe with a model's name and the settings of `base`. Where the model has nonidealities,
-    /// and so a delay, policies observe their last two commands.
+    /// A recipe with a model's name and the settings of `base`. If the model has nonidealities, and
+    /// so a delay, policies observe their last two commands.
     #[must_use]
     pub fn of(model: Model, base: &SessionSettings) -> Self {
         let mut settings = base.clone();
@@ -62,14 +62,14 @@ impl Recipe {
         let file: RecipeFile = toml::from_str(&text)
             .map_err(|error| unreadable(error.to_string().trim_end().to_owned()))?;
         check_name("name", &file.name).map_err(|refused| unreadable(refused.to_string()))?;
-        for (key, what_to_do) in [
+        for (key, remedy) in [
             ("name", "give `name` at the top of the file, outside of [settings]"),
             ("model", "give `model` at the top of the file, outside of [settings]"),
             ("seed", "leave it out, because the experiment gives it"),
             ("emulated", "leave it out, because the experiment gives it"),
         ] {
             if file.settings.contains_key(key) {
-                let reason = format!("settings.{key} has no effect in a recipe: {what_to_do}");
+                let reason = format!("settings.{key} has no effect in a recipe: {remedy}");
                 return Err(unreadable(reason));
             }
         }
@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_changes_what_it_names_and_leaves_the_rest() {
+    fn a_file_changes_the_settings_that_it_names_and_no_others() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("recipe.toml");
         let base = SessionSettings::thesis();
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn names_stand_where_their_models_do() {
+    fn a_written_recipe_keeps_its_model_and_its_name() {
         for model in Model::ALL {
             let toml = toml::to_string(&Recipe::of(model, &SessionSettings::quick())).unwrap();
             let again: Recipe = toml::from_str(&toml).unwrap();

@@ -29,8 +29,8 @@ const FRESH_SEED: u64 = 1_000_003;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Results {
     /// Results of each recipe on each plant, in the order of the settings. An experiment with fixed
-    /// budgets has the results of each method at each budget on each plant instead, as far as there
-    /// are any, and with several plants also those on [all of them](super::ALL_PLANTS).
+    /// budgets has the finished results of each method at each budget on each plant instead, and
+    /// with several plants also the results on [all plants](super::ALL_PLANTS).
     pub recipes: Vec<RecipeResult>,
 }
 
@@ -63,8 +63,9 @@ pub struct PolicyResult {
     pub rollouts: Vec<RolloutResult>,
     /// Folder of the policy's recordings on the plant.
     pub recordings: PathBuf,
-    /// Reason for which the method had no recommendation at this budget, so that the policy is one
-    /// of the distribution `robust`; `None` for the method's own policy, and for a recipe's.
+    /// Reason for which the method had no recommendation at this budget, so that the policy was
+    /// trained in the distribution `robust`; `None` for the method's own policy, and for a
+    /// recipe's.
     pub fallback: Option<String>,
 }
 
@@ -90,8 +91,9 @@ impl PolicyResult {
         all
     }
 
-    /// Whether the mean return is at least [`SUCCESS_RETURN`](criterion::SUCCESS_RETURN) and the
-    /// share of rollouts that succeed is at least [`POLICY_SHARE`](criterion::POLICY_SHARE).
+    /// Returns whether the mean return is at least [`SUCCESS_RETURN`](criterion::SUCCESS_RETURN)
+    /// and the share of rollouts that succeed is at least
+    /// [`POLICY_SHARE`](criterion::POLICY_SHARE).
     #[must_use]
     pub fn succeeds(&self) -> bool {
         self.mean_return().is_some_and(|it| it >= criterion::SUCCESS_RETURN)
@@ -257,7 +259,8 @@ impl<'a> PlannedRecipe<'a> {
         settings.plants.iter().map(row).collect()
     }
 
-    /// The results of a trained policy on each plant; `None` on a plant on which it has not run.
+    /// The results of a trained policy on each plant; `None` on a plant on which rollouts are
+    /// missing. Empty if that holds for all plants.
     fn evaluated(
         &self,
         experiment: &Experiment,
@@ -366,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_that_no_longer_fits_its_settings_is_named() {
+    fn a_policy_with_another_history_than_its_settings_is_named() {
         let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
         let Policy::Network(policy) = Policy::load(&shipped).unwrap() else {
             panic!("a network is shipped");
@@ -383,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recipe_is_summed_up_over_its_policies() {
+    fn a_recipe_is_summarised_over_its_policies() {
         let result = RecipeResult {
             recipe: "nominal".into(),
             budget: None,

@@ -104,8 +104,8 @@ fn policy_beside(rollouts: &Path) -> PathBuf {
 }
 
 /// The state of a rollout that may be attempted `1 + repetitions` times: the next attempt follows
-/// if the one before is void. An attempt is due again if its recording is unfinished, or unreadable
-/// after a crash.
+/// if the one before is void. An attempt is due if its recording is missing, unfinished or damaged,
+/// as after a crash.
 fn state_of(
     rollouts: &RolloutFolder,
     rollout: u32,
@@ -172,7 +172,8 @@ pub(super) fn scored_recording(
     })
 }
 
-/// Whether a rollout needs no further attempt: it has a result, or all its attempts are void.
+/// Returns whether a rollout needs no further attempt: it has a result, or all its attempts are
+/// void.
 ///
 /// # Errors
 /// A recording cannot be read.
@@ -188,7 +189,7 @@ pub(super) fn is_complete(
 pub(super) struct Repeated<'a> {
     /// Folder of the rollout's recordings.
     pub folder: &'a RolloutFolder,
-    /// Plan of the rollout; each attempt puts in its own number.
+    /// Plan of the rollout; each attempt fills in its own number.
     pub plan: RolloutPlan,
     /// Bytes of the policy file.
     pub policy: &'a [u8],
@@ -198,7 +199,7 @@ pub(super) struct Repeated<'a> {
     pub stop: &'a AtomicBool,
 }
 
-/// Records a rollout on a rig and returns how the rollout ended.
+/// A function that records a rollout on a rig and returns the rollout's ending.
 pub(super) type Record<'a> = dyn FnMut(&Rig) -> Result<Ending, ExperimentError> + 'a;
 
 impl Repeated<'_> {
@@ -243,7 +244,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_recording_that_cannot_be_looked_at_is_not_made_again() {
+    fn a_recording_that_the_disk_fails_to_read_is_not_made_again() {
         let directory = tempfile::tempdir().unwrap();
         let folder = RolloutFolder { path: directory.path().to_owned(), policy: None };
         assert!(!is_complete(&folder, 0, 0).unwrap());

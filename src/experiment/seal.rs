@@ -10,8 +10,8 @@ pub(super) fn sealed(settings: &str) -> String {
     format!("{settings}{MARK}{}\n", checksum_of(settings.as_bytes()))
 }
 
-/// Whether the lines above the checksum are unchanged and no line follows it. A file without a
-/// checksum, as early versions wrote it, passes.
+/// Returns whether the lines above the checksum are unchanged and no line follows it. A file
+/// without a checksum, which an early version wrote, passes.
 pub(super) fn is_unchanged(text: &str) -> bool {
     text.rsplit_once(MARK)
         .is_none_or(|(settings, checksum)| checksum_of(settings.as_bytes()) == checksum.trim_end())

@@ -11,8 +11,8 @@ use crate::session::{
 use crate::simulation::Psi;
 use crate::storage::{Disk, MachineDisk};
 
-/// Opens the session that searches for a psi in `folder`: creates it, or resumes the one that has
-/// begun there.
+/// Opens the session that searches for a psi in `folder`: creates the session, or resumes the
+/// session that has begun there.
 ///
 /// # Errors
 /// The folder or its content is invalid, or another process holds the folder.
@@ -71,7 +71,7 @@ pub(super) fn found_psi(
 }
 
 /// The candidates of the search in order, each with the returns of its rollouts so far. The first
-/// `skip` candidates and those that verify the result are left out.
+/// `skip` candidates and the candidates that verify the result are left out.
 ///
 /// # Errors
 /// The ledger or a recording cannot be read.

@@ -43,7 +43,7 @@ pub(super) struct PolicySeries<'a> {
 pub(super) struct Ran {
     /// Results of the rollouts, in order.
     pub results: Vec<RolloutResult>,
-    /// Whether any of the work was done now, or all was on disk.
+    /// Time of the last training or rollout for the results.
     pub made: Made,
 }
 
@@ -52,7 +52,8 @@ impl PolicySeries<'_> {
     /// `watch` gets the number of the training and each of its updates.
     ///
     /// # Errors
-    /// The training fails, or the policy cannot be stored.
+    /// The training fails, the policy cannot be stored, or its existing file cannot be read or is
+    /// of another version.
     pub fn train(
         &self,
         policy: u32,
@@ -101,7 +102,7 @@ impl PolicySeries<'_> {
     /// The distribution in which policies are trained and evaluated.
     ///
     /// # Errors
-    /// The psi of a searched model or a profile is missing.
+    /// The errors of [`Recipe::distribution`].
     pub fn distribution(&self) -> Result<DomainDistribution, PsiError> {
         match self.distribution {
             Some(distribution) => Ok(distribution.clone()),

@@ -52,7 +52,7 @@ pub enum ExperimentSettingError {
         /// Name of the second.
         other: String,
     },
-    /// Recipes are for different models of the plant.
+    /// Recipes are for different plants.
     #[error(
         "recipe {recipe}: it is for the plant {plant} and the first one for {first}: compare recipes on one plant"
     )]

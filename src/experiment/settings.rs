@@ -25,8 +25,8 @@ pub struct ExperimentSettings {
     /// Number of fresh starts from which a policy's return in simulation is evaluated, 1 to
     /// 100 000.
     pub simulated_starts: u32,
-    /// Checksum of the profile by which the guard knew the Qube when the experiment began, or
-    /// `none` if the Qube's file named none; `None` in files that lack it.
+    /// Checksum of the Qube's profile that the guard had when the experiment began, or `none` if
+    /// the Qube's file named no profile; `None` in files that lack the entry.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub guard_profile: Option<String>,
     /// Plants on which policies run; a recipe's search for psi runs on the first, without its
@@ -67,18 +67,17 @@ impl ExperimentSettings {
             .iter()
             .find(|entry| entry.changed_something())
             .map(|entry| format!("{entry}: an experiment keeps the settings that it began with"));
-        let gone = settings.recipes.iter().find_map(|recipe| {
-            let gone = recipe.settings.check_resumable().err()?;
-            Some(format!("recipe {}: {gone}", recipe.name))
+        let unsupported = settings.recipes.iter().find_map(|recipe| {
+            let refused = recipe.settings.check_resumable().err()?;
+            Some(format!("recipe {}: {refused}", recipe.name))
         });
-        match changed.or(gone).or(retired) {
+        match changed.or(unsupported).or(retired) {
             Some(reason) => Err(ExperimentError::NotResumable { path: path.to_owned(), reason }),
             None => Ok(settings),
         }
     }
 
-    /// Reads and checks the settings; also returns the entries of the file that are no longer
-    /// settings.
+    /// Reads and checks the settings; also returns the retired entries of the file.
     fn parsed(path: &Path, text: &str) -> Result<(Self, Vec<Retired>), ExperimentError> {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
@@ -165,8 +164,8 @@ impl ExperimentSettings {
 
     /// Checks the settings of an experiment that begins. Its folder may be copied to a file system
     /// that takes `Lab` and `lab` for the same name, so names that differ in case only are refused;
-    /// experiments that have such names can be resumed and shown. The same holds for a method that
-    /// no budget allows a recommendation.
+    /// experiments that have such names can be resumed and shown. A method to which no budget
+    /// allows a recommendation is refused in the same way.
     ///
     /// # Errors
     /// The first invalid setting.
@@ -177,7 +176,7 @@ impl ExperimentSettings {
         self.check_largest_budget()
     }
 
-    /// Checks that each method has a recommendation at the largest budget at least.
+    /// Checks that the largest budget allows each method a recommendation.
     fn check_largest_budget(&self) -> Result<(), ExperimentSettingError> {
         let (Some(methods), Some(recipe)) = (&self.methods, self.recipes.first()) else {
             return Ok(());
@@ -375,9 +374,9 @@ mod tests {
         assert!(settings.check_for_one_rig().is_ok());
         settings.recipes[2].settings.homing.theta_offset_rad = 0.1;
         assert!(settings.check().is_ok(), "an emulated Qube is homed for each rollout");
-        let told = settings.check_for_one_rig().unwrap_err().to_string();
+        let message = settings.check_for_one_rig().unwrap_err().to_string();
         for name in [&settings.recipes[0].name, &settings.recipes[2].name] {
-            assert!(told.contains(name), "{told}");
+            assert!(message.contains(name), "{message}");
         }
     }
 

@@ -36,7 +36,7 @@ pub fn standard_deviation(sample: &[f64]) -> f64 {
         return f64::NAN;
     }
     let centre = mean(sample);
-    let squares: f64 = sample.iter().map(|x| (x - centre) * (x - centre)).sum();
+    let squares: f64 = sample.iter().map(|value| (value - centre) * (value - centre)).sum();
     (squares / (sample.len() as f64 - 1.0)).sqrt()
 }
 
@@ -87,11 +87,11 @@ pub fn wilson_interval(successes: usize, trials: usize) -> Interval {
 /// The interval of Learned-Miller and Thomas (2020) for the mean of a quantity between 0 and
 /// `most`, 95 %; NaN for an empty sample.
 ///
-/// Returns have two humps, one of policies that balance and one of policies that fall, and a sample
-/// may show only the more frequent hump by chance. A bootstrap knows nothing of a hump that the
-/// sample lacks: at n = 20 and a success rate of 0.95, its interval contains the true mean for two
-/// samples of three only. This interval uses the bounds of the quantity and so allows for a missing
-/// hump; it is wider for that.
+/// The distribution of returns has two peaks, one of policies that balance and one of policies that
+/// fall, and a sample may show only the larger peak by chance. A bootstrap cannot allow for a peak
+/// that the sample lacks: at n = 20 and a success rate of 0.95, its interval contains the true mean
+/// for only two samples of three. This interval uses the bounds of the quantity and so allows for a
+/// missing peak; it is wider for this reason.
 #[must_use]
 pub fn bounded_mean_interval(sample: &[f64], most: f64) -> Interval {
     BoundedMean::of(sample.len()).interval(sample, most)
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn moments_and_median_of_known_samples() {
+    fn moments_and_median_agree_with_known_samples() {
         let sample = [2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0];
         assert_eq!(mean(&sample), 5.0);
         assert!((standard_deviation(&sample) - (32.0_f64 / 7.0).sqrt()).abs() < 1e-12);
@@ -173,7 +173,7 @@ mod tests {
 
     /// Reference values from R: `prop.test(x, n, correct = FALSE)$conf.int`.
     #[test]
-    fn wilson_intervals_are_those_of_the_literature() {
+    fn wilson_intervals_agree_with_the_literature() {
         near(wilson_interval(10, 20), 0.299_298_0, 0.700_702_0, 1e-6);
         near(wilson_interval(0, 20), 0.0, 0.161_125_3, 1e-6);
         near(wilson_interval(20, 20), 0.838_874_7, 1.0, 1e-6);
@@ -183,11 +183,11 @@ mod tests {
         assert_eq!(wilson_interval(0, 0), Interval { lower: 0.0, upper: 1.0 });
     }
 
-    /// For a sample of zeros and ones the bounds are those of Clopper and Pearson (1934).
+    /// The bounds of a sample of zeros and ones equal the bounds of Clopper and Pearson (1934).
     #[test]
-    fn of_zeros_and_ones_the_bounds_are_exact() {
+    fn the_bounds_of_zeros_and_ones_are_exact() {
         let sample = |ones: usize| {
-            let value = |i| f64::from(u8::from(i < ones));
+            let value = |index| f64::from(u8::from(index < ones));
             (0..20).map(value).collect::<Vec<f64>>()
         };
         // R: binom.test(x, 20)$conf.int. 10 000 draws leave the third digit to chance.
@@ -211,9 +211,10 @@ mod tests {
         Interval { lower: means[9], upper: means[390] }
     }
 
-    /// Policies that balance earn about 540, and those that fall 0 to 300, below 60 or about 450.
+    /// Policies that balance earn about 540; policies that fall earn 0 to 300, below 60, or about
+    /// 450.
     #[test]
-    fn the_interval_of_twenty_returns_with_two_humps_covers_their_mean() {
+    fn the_interval_of_twenty_returns_with_two_peaks_covers_their_mean() {
         let intervals = BoundedMean::of(20);
         let mut random = ChaCha8Rng::seed_from_u64(1000);
         let mut resamples = ChaCha8Rng::seed_from_u64(1001);

@@ -257,8 +257,8 @@ impl Experiment {
     }
 
     /// Runs all rollouts on one Qube, one after the other. The recipes take turns, and each policy
-    /// number begins with another recipe: a Qube that warms or wears during the experiment does the
-    /// same to all of them.
+    /// number begins with another recipe: a Qube that warms or wears during the experiment affects
+    /// all recipes equally.
     fn run_on_device(&self, on_event: &OnEvent) -> Result<(), ExperimentError> {
         let settings = self.rig_on_the_same_board()?;
         let mut rig: Option<Rig> = None;
@@ -267,10 +267,10 @@ impl Experiment {
         let psi = recipes.iter().map(|recipe| self.psi(recipe)).collect::<Result<Vec<_>, _>>()?;
         for policy in 0..self.settings().policies {
             for turn in 0..recipes.len() {
-                let which = (policy as usize + turn) % recipes.len();
-                let recipe = &recipes[which];
+                let index = (policy as usize + turn) % recipes.len();
+                let recipe = &recipes[index];
                 let series =
-                    PolicySeries { rig: &settings, ..self.series(recipe, psi[which].value()) };
+                    PolicySeries { rig: &settings, ..self.series(recipe, psi[index].value()) };
                 let rollouts = self.settings().rollouts;
                 let ran = series.run_on_device(&mut rig, policy, plant, rollouts)?;
                 let (recipe, plant, results) = (&recipe.name, &plant.name, &ran.results);

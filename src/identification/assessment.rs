@@ -27,20 +27,19 @@ const LAGS: usize = 5;
 /// leave smaller residuals over short windows and allow more growth in proportion.
 const LARGEST_GROWTH: f64 = 2.0;
 
-/// Residual (root mean square, the larger of the two angles) over windows of half a second beyond
-/// which a model does not fit, rad.
+/// Residual (root mean square, the larger of the two angles) over windows of half a second, or of a
+/// quarter where the pendulum is upright, beyond which a model does not fit, rad.
 const UNFIT_RAD: f64 = 0.03;
 
-/// Largest noise ratio of held-out recordings with which the model still describes them, as a
-/// multiple of the fitted recordings' ratio or of 1, whichever is larger. The errors of a fit to
-/// one recording show in others: after slow steps alone the ratio of a rollout of the same Qube
-/// reached 2.9.
+/// Largest noise ratio of held-out recordings with which the model describes them, as a multiple of
+/// the fitted recordings' ratio or of 1, whichever is larger. The errors of a fit to one recording
+/// show in others: after slow steps alone the ratio of a rollout of the same Qube reached 2.9.
 const LARGEST_HELD_OUT_RATIO: f64 = 4.0;
 
 /// Largest factor by which held-out recordings contradict the estimates more than noise and
-/// standard errors predict, with which the model still predicts them. Of a right model the square
-/// of the factor, times the number of directions that the recordings determine, is chi-squared: of
-/// eight directions, chance exceeds 2 in one of 10 000 recordings.
+/// standard errors predict, with which the model predicts them. For a right model the square of the
+/// factor, times the number of directions that the recordings determine, is chi-squared: with eight
+/// directions, chance alone makes the factor exceed 2 in one of 10 000 recordings.
 const LARGEST_CONTRADICTION: f64 = 2.0;
 
 /// Smallest score that counts as evidence for an effect outside the equations; if the model holds,
@@ -51,15 +50,17 @@ const SIGNIFICANT: f64 = 20.0;
 /// named.
 const NAMED_SHARE: f64 = 0.2;
 
-/// Whether the model describes the Qube that made the recordings.
+/// A verdict: whether the model describes the Qube that made the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelVerdict {
     /// The residuals are about as small and as uncorrelated as the encoders' rounding, and no test
     /// finds a sign of a missing effect.
     Fits,
-    /// The model predicts windows of half a second, but the tests find signs of a missing effect.
+    /// The model predicts windows of half a second, or of a quarter where the pendulum is upright,
+    /// but the tests find signs of a missing effect.
     FitsBut,
-    /// The model does not explain windows of half a second.
+    /// The model does not explain windows of half a second, or of a quarter where the pendulum is
+    /// upright.
     DoesNotFit,
 }
 
@@ -93,7 +94,7 @@ pub enum MissingEffect {
     Direction,
     /// The motor turns alone for a moment where its torque on the arm changes sign: play.
     Play,
-    /// Recordings that were held out are explained much worse than those that were fitted.
+    /// The model explains recordings that were held out much worse than the fitted recordings.
     HeldOut,
     /// Recordings that were held out contradict the estimates by more than noise and standard
     /// errors predict.
@@ -151,7 +152,7 @@ impl fmt::Display for MissingEffect {
                 "the recordings that were held out (are they of another Qube, or was it changed in between?)"
             }
             Self::Contradicted => {
-                "the recordings that were held out: they ask for other values, beyond the standard errors"
+                "the recordings that were held out: they lead to other values, beyond the standard errors"
             }
         })
     }
@@ -230,9 +231,9 @@ impl Assessment {
     }
 }
 
-/// The [`Assessment::noise_ratio`] of a model over other recordings than those that it was fitted
-/// to. Start states, the zero of the pendulum's angle and, if it is one of `homed`, the rest angle
-/// of the cable are estimated anew, because homing sets them anew.
+/// The [`Assessment::noise_ratio`] of a model over recordings to which it was not fitted. Start
+/// states, the zero of the pendulum's angle and, if it is one of `homed`, the rest angle of the
+/// cable are estimated anew, because homing sets them anew.
 pub(super) fn noise_ratio_of(
     model: QubeModel,
     homed: &[Unknown],

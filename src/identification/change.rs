@@ -12,7 +12,7 @@ use crate::qube::{DomainParameter, Nonideality, Quantity, QubeModel};
 /// and have no logarithm. If their changes were only added, large steps would lose the proportion,
 /// and a fit that begins far from the solution would not reach it. They are therefore multiplied by
 /// the growth of the torque per volt; then the part of their change that is not this growth is
-/// added. For small changes the result is that of a plain addition.
+/// added. For small changes the result equals a plain addition.
 pub(super) fn changed(unknowns: &[Unknown], model: &QubeModel, changes: &[f64]) -> QubeModel {
     let change_of = |parameter: DomainParameter| {
         let pairs = || unknowns.iter().zip(changes);
@@ -87,12 +87,12 @@ mod tests {
     }
 
     #[test]
-    fn a_friction_that_does_not_change_is_not_lost_when_the_motor_gets_stronger() {
+    fn an_unchanged_friction_does_not_shrink_when_the_motor_gets_stronger() {
         let unknowns: Vec<Unknown> = Unknown::all().collect();
         let lab = Profile::lab().model();
         let resistance = |unknown: &Unknown| {
-            let grows = unknown.0 == DomainParameter::MotorResistance.into();
-            if grows { -1.5 } else { 0.0 }
+            let is_resistance = unknown.0 == DomainParameter::MotorResistance.into();
+            if is_resistance { -1.5 } else { 0.0 }
         };
         let changes: Vec<f64> = unknowns.iter().map(resistance).collect();
         let next = changed(&unknowns, &lab, &changes).nonidealities;

@@ -67,7 +67,7 @@ fn the_standard_error_of_the_delay_is_its_scatter_over_recordings() {
         println!("{delay_s} s: scatter {scatter_s:.1e} s, standard error {error_s:.1e} s");
         // The factor for windows that contradict each other is never below 1, so that the standard
         // error of a recording without contradictions is too large rather than too small: here by
-        // half. An error by the square root of two in either direction is out of these limits.
+        // half. An error by the square root of two in either direction is outside these limits.
         let ratio = error_s / scatter_s;
         assert!((1.15..1.9).contains(&ratio), "{delay_s} s: {error_s:e} s beside {scatter_s:e} s");
     }

@@ -13,8 +13,9 @@ use crate::recording::Recording;
 use crate::replay::MotionLog;
 use crate::telemetry::Phase;
 
-/// Number of first rollouts of a day that are compared with the profile; a `run` of fewer compares
-/// those that it has.
+/// Number of rollouts that are compared with the profile: the first of a `run` that are not void,
+/// or the first with a result that a session's process makes on a rig. A shorter `run` compares
+/// fewer.
 pub const DRIFT_ROLLOUTS: usize = 3;
 
 /// The quantities that change from day to day on an unchanged machine: the command delay, and the
@@ -29,7 +30,7 @@ const CHANGING: [Unknown; 2] = [
 /// a balancing pendulum for long.
 const STRETCH_S: f64 = 0.5;
 
-/// Shortest motion that is used, s: a swing-up that left the box still counts.
+/// Shortest motion that is used, s; a swing-up that left the box may be so short.
 const SHORTEST_S: f64 = 1.0;
 
 /// Change of the delay beyond which the delay counts as moved, s.
@@ -48,7 +49,7 @@ const STANDARD_ERRORS: f64 = 3.0;
 /// Number of final ticks of settling, of 10 ms each, over which the pendulum's angle is averaged.
 const SETTLED_TICKS: usize = 20;
 
-/// The drift of a rig from its profile, estimated from the first rollouts of a day.
+/// The drift of a rig from its profile, estimated from some rollouts of one day.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Drift {
     /// Delay from command to motor, s.
@@ -76,7 +77,7 @@ pub struct Compared {
     /// command delay and cable rest count as known, because today's estimate takes them from the
     /// profile too.
     pub profile_standard_error: f64,
-    /// Whether the change exceeds both the quantity's tolerance and three standard errors of the
+    /// True if the change exceeds both the quantity's tolerance and three standard errors of the
     /// change; `false` if the rollouts do not determine the quantity.
     pub moved: bool,
 }
@@ -92,8 +93,8 @@ impl Compared {
 }
 
 impl Drift {
-    /// Compares the first rollouts of a day with the profile. Rollouts that cannot be fitted do not
-    /// count for delay and cable.
+    /// Compares rollouts of one day with the profile. Rollouts that cannot be fitted do not count
+    /// for delay and cable.
     ///
     /// # Errors
     /// None of the rollouts can be fitted.
@@ -133,7 +134,7 @@ impl Drift {
         })
     }
 
-    /// Whether the rig has drifted from its profile.
+    /// Returns whether the rig has drifted from its profile.
     #[must_use]
     pub fn has_moved(&self) -> bool {
         let alpha_zero_moved = self.alpha_zero_rad.is_some_and(|compared| compared.moved);
@@ -183,14 +184,14 @@ impl fmt::Display for Drift {
 /// No motion can be fitted: the reason for the last one, or [`Unfit::Short`] if there are none.
 fn usable_motions(motions: &[MotionLog]) -> Result<Vec<&MotionLog>, Unfit> {
     let mut unfit = Unfit::Short { duration_s: 0.0, shortest_s: SHORTEST_S };
-    let mut fit = Vec::new();
+    let mut usable = Vec::new();
     for motion in motions {
         match check_motion(motion, SHORTEST_S) {
-            Ok(()) => fit.push(motion),
+            Ok(()) => usable.push(motion),
             Err(why) => unfit = why,
         }
     }
-    if fit.is_empty() { Err(unfit) } else { Ok(fit) }
+    if usable.is_empty() { Err(unfit) } else { Ok(usable) }
 }
 
 /// Estimates the quantities in [`CHANGING`], in that order, from motions of one plant; all others
@@ -205,15 +206,15 @@ fn changing(motions: &[&MotionLog], reference: &QubeModel) -> [Estimate; 2] {
 }
 
 /// Standard errors of the profile's values of the quantities in [`CHANGING`], with all other
-/// quantities known: from the Schur complement of the others in the covariance. Where the others'
-/// covariance cannot be inverted, the standard errors are those with the others unknown.
+/// quantities known: from the Schur complement of the others in the covariance. Where the
+/// covariance is not positive definite, the standard errors are the profile's own.
 fn conditional_errors(profile: &Profile) -> [f64; 2] {
     let changing = CHANGING.map(|Unknown(quantity)| quantity);
     let others: Vec<Quantity> = Quantity::all()
         .filter(|it| !changing.contains(it) && profile.standard_error(*it) > 0.0)
         .collect();
-    // In units of the standard errors, because those of different quantities differ by many powers
-    // of 10.
+    // In units of the standard errors, because the errors of different quantities differ by many
+    // powers of 10.
     let scaled = |one: Quantity, other: Quantity| {
         profile.covariance(one, other)
             / (profile.standard_error(one) * profile.standard_error(other))
@@ -263,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn the_error_of_a_profile_counts_as_far_as_the_other_quantities_leave_it() {
+    fn the_error_of_a_profile_excludes_the_part_that_the_other_quantities_explain() {
         let [delay_s, rest_rad] = conditional_errors(&profile(0.8));
         assert!((delay_s - 0.6e-3).abs() < 1e-12, "{delay_s}");
         assert_eq!(rest_rad, 0.0);

@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn derivatives_are_those_of_finite_differences() {
+    fn derivatives_agree_with_finite_differences() {
         fn function<T: Scalar>(x: T, y: T) -> T {
             let (sin, cos) = (x * y).sin_cos();
             let quotient = (sin - x) / (T::from_f64(2.0) + y.abs());

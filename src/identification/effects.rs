@@ -22,9 +22,9 @@ const BUILD_UPS_RAD: [f64; 2] = [0.03, 0.2];
 pub(super) enum Effect {
     /// A torque that builds up while the arm moves on after a reversal.
     Reversals,
-    /// A motor whose torque changes in proportion to the time since the recording's start.
+    /// A motor whose torque per volt changes in proportion to the time since the recording's start.
     Warming,
-    /// An error of the arm's encoder that is periodic in the arm's angle.
+    /// An error of the arm's encoder that has one period in a turn of the arm.
     EncoderEccentricity,
     /// Damping that differs between the arm's two directions: a torque of one sign, in proportion
     /// to |theta_dot|.
@@ -37,7 +37,7 @@ pub(super) enum Effect {
 impl Effect {
     /// All effects in the order of their columns: `Play` is the last effect on the motor and the
     /// encoder's eccentricity the last of all, because [`columns_of`] writes the encoder columns of
-    /// both after those of the disturbed voltages.
+    /// both after the columns of the disturbed voltages.
     pub const ALL: [Self; 5] = [
         Self::Reversals,
         Self::Warming,
@@ -63,7 +63,7 @@ impl Effect {
             Self::EncoderEccentricity => Vec::new(),
             Self::Warming => {
                 let start_s = samples[0].time_s;
-                vec![samples.iter().map(|s| s.voltage_v * (s.time_s - start_s)).collect()]
+                vec![samples.iter().map(|it| it.voltage_v * (it.time_s - start_s)).collect()]
             }
             Self::AsymmetricDamping => {
                 let speeds: Vec<f64> = samples
@@ -89,8 +89,8 @@ impl Effect {
     }
 }
 
-/// For each sample, the entry of `values` at the time at which this sample's command reaches the
-/// motor. A disturbance that is added to the command then acts at that time.
+/// The entries of `values`, one for each sample, at the time at which the sample's command reaches
+/// the motor. A disturbance that is added to the command then acts at that time.
 fn values_at_arrival(samples: &[MotionSample], values: &[f64], delay_s: f64) -> Vec<f64> {
     let last = values.len().saturating_sub(1);
     let at = |sample: &MotionSample| {
@@ -134,10 +134,10 @@ fn built_up(samples: &[MotionSample], angle_rad: f64) -> Vec<f64> {
     samples.iter().map(&mut one).collect()
 }
 
-/// For each effect the reduction of the sum of squared residuals when the effect joins the model,
-/// in units of the residual variance; unknowns and start states adapt to the effect. `fit` is the
-/// fit over short windows, with start states fitted anew. Where the model holds, the reduction has
-/// a chi-squared distribution with as many degrees of freedom as the effect has columns.
+/// The reduction of the sum of squared residuals by each effect when the effect joins the model, in
+/// units of the residual variance; unknowns and start states adapt to the effect. `fit` is the fit
+/// over short windows, with start states fitted anew. Where the model holds, the reduction has a
+/// chi-squared distribution with as many degrees of freedom as the effect has columns.
 pub(super) fn scores(fit: &Fit<'_>) -> Vec<(Effect, f64)> {
     let size = columns(fit);
     let mut squares = DMatrix::<f64>::zeros(size, size);
@@ -198,7 +198,7 @@ fn columns_of(
         all[(2 * row, column)] = push_v.signum();
     }
     column += 1;
-    // An error that is periodic in the arm's angle is a sum of the angle's sine and cosine.
+    // An error with one period in a turn is a combination of the angle's sine and cosine.
     for (row, state) in simulated.iter().enumerate() {
         let (sin, cos) = state.theta.sin_cos();
         (all[(2 * row, column)], all[(2 * row, column + 1)]) = (sin, cos);
@@ -220,9 +220,9 @@ fn simulated(fit: &Fit<'_>) -> Vec<Vec<State>> {
     pieces.map(one).collect()
 }
 
-/// A recording with the simulated states of its stretches in place of the recorded ones. Samples
-/// outside the stretches, such as those of the first 0.04 s, keep their recorded states. The
-/// effects depend on the arm's angle, and the simulated one is free of the encoder's rounding,
+/// A recording with the simulated states of its stretches in place of the recorded states. Samples
+/// outside the stretches, such as the samples of the first 0.04 s, keep their recorded states. The
+/// effects depend on the arm's angle, and the simulated angle is free of the encoder's rounding,
 /// which is part of the residual. Where two stretches meet, the states jump by about that rounding.
 fn with_simulated_states<'a>(
     recording: &[MotionSample],
@@ -261,9 +261,9 @@ impl Disturbed {
     }
 }
 
-/// The reduction by each effect. `squares` contains the products of all columns with each other:
-/// those of the unknowns, of the effects, and of the residuals. `count` is the number of residuals
-/// minus the number of entries of the start states.
+/// The reduction by each effect. `squares` contains the products with each other of all columns:
+/// the columns of the unknowns, of the effects, and of the residuals. `count` is the number of
+/// residuals minus the number of entries of the start states.
 fn reductions(fit: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effect, f64)> {
     let unknowns = fit.unknowns.len();
     let size = squares.nrows();

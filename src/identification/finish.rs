@@ -6,7 +6,7 @@ use super::residuals::{Noise, updated_noise};
 use super::stretch::Stretch;
 use crate::qube::{DomainParameters, Nonidealities, Nonideality};
 
-/// Difference between the dead zones of the two signs with which [`Fit::finish`] begins further
+/// Difference between the two dead zones in the models from which [`Fit::finish`] begins further
 /// fits, V of a Qube; for other plants it is scaled. The only real Qube that was identified has
 /// this difference.
 const DIFFERENCE_V: f64 = 0.3;
@@ -19,8 +19,8 @@ impl Fit<'_> {
     /// correlated in time: they then count as few independent ones and hardly move the model. And
     /// the rest angle of the cable can replace unequal dead zones
     /// ([`Self::with_difference_of_dead_zones`], which makes the two models). Three recordings or
-    /// more are fitted from the result alone: further fits would double the time, and such a
-    /// replacement was seen with one recording only.
+    /// more are fitted from the result alone: further fits would double the time, and only fits to
+    /// a single recording have shown such a replacement.
     pub fn finish(&mut self) {
         let noise = [Noise::of_resolution(self.plant.encoders); 3];
         let begin = Self { noise, ..self.clone() };
@@ -43,9 +43,9 @@ impl Fit<'_> {
     }
 
     /// A copy of the fit in which the negative dead zone is wider than the positive one by this
-    /// voltage, V of a Qube. The sum of the two stays the same, or grows to this voltage if it is
-    /// smaller; the rest angle of the cable moves so that the mean torque stays the same. `None` if
-    /// these quantities are not all unknowns, or without a cable.
+    /// voltage, V of a Qube. The sum of the two stays the same, or grows to the size of this
+    /// voltage if it is smaller; the rest angle of the cable moves so that the mean torque stays
+    /// the same. `None` if these quantities are not all unknowns, or without a cable.
     fn with_difference_of_dead_zones(&self, difference_v: f64) -> Option<Self> {
         let difference_v = difference_v * self.plant.volts_per_qube_volt();
         let terms =
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
     use crate::qube::{PlantModel, Profile, QubeModel};
 
-    /// The mean torque of both directions that dead zones and cable leave, N m.
+    /// The mean over both directions of the torque that dead zones and cable leave, N m.
     fn mean_torque(model: &QubeModel) -> f64 {
         let DomainParameters { motor_resistance_ohm, motor_back_emf_v_s, .. } = model.parameters;
         let terms = &model.nonidealities;
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_exchanged_without_a_cable_or_with_a_rest_angle_that_is_fixed() {
+    fn no_difference_of_dead_zones_is_tried_without_a_cable_or_a_free_rest_angle() {
         let all: Vec<Unknown> = Unknown::all().collect();
         let rest = Unknown::from(Nonideality::CableRest);
         let fixed: Vec<Unknown> = all.iter().copied().filter(|&unknown| unknown != rest).collect();

@@ -17,8 +17,8 @@ const ARRIVED: f64 = 1e-5;
 /// Largest number of steps with one scale of the residuals.
 const MAX_STEPS: usize = 30;
 
-/// Number of attempts at a step, each shorter than the one before, after which the fit counts as
-/// converged.
+/// Number of failed attempts at a step, each shorter than the one before, after which the fit
+/// counts as converged.
 const MAX_SHORTENINGS: usize = 10;
 
 /// Number of rounds in which model and residual scales are estimated in turn.
@@ -67,7 +67,7 @@ struct Block {
 }
 
 impl<'a> Fit<'a> {
-    /// A fit that starts at `model`, and each stretch at its measured state.
+    /// A fit that starts at `model`, with each stretch at its measured state.
     pub fn new(
         unknowns: &'a [Unknown],
         plant: &'a PlantModel,
@@ -210,7 +210,7 @@ impl<'a> Fit<'a> {
         self.unknowns.len() + recording * self.homing_offsets().len() + offset
     }
 
-    /// Information and gradient of the priors: those of the unknowns, and those of all offsets for
+    /// Information and gradient of the priors of the unknowns, and of the priors of all offsets for
     /// this scatter.
     fn priors(&self, scatter: Scatter) -> (DMatrix<f64>, DVector<f64>) {
         let quantities = self.homing_offsets();
@@ -278,9 +278,9 @@ impl<'a> Fit<'a> {
         })
     }
 
-    /// For each stretch the information (J'J) and the gradient (J'r) of the unknowns, then of the
-    /// offsets of its recording, in the fit's units and without the priors. The start state of the
-    /// stretch is eliminated, and correlated residuals count as fewer.
+    /// The information (J'J) and the gradient (J'r) that each stretch gives of the unknowns, then
+    /// of the offsets of its recording, in the fit's units and without the priors. The start state
+    /// of the stretch is eliminated, and correlated residuals count as fewer.
     pub fn reduced(&self) -> Vec<(DMatrix<f64>, DVector<f64>)> {
         let reduce = |block: Block| {
             let Some(inverse) = block.ss.try_inverse() else { return (block.gg, block.g) };
@@ -354,8 +354,8 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Inserts the derivatives by the recording's offsets between those by the unknowns and those
-    /// by the start state.
+    /// Inserts the derivatives by the recording's offsets between the derivatives by the unknowns
+    /// and the derivatives by the start state.
     fn with_homing_offsets(&self, slopes: DMatrix<f64>, alpha_scale: f64) -> DMatrix<f64> {
         let (quantities, count) = (self.homing_offsets(), self.unknowns.len());
         let rest = Unknown::from(Nonideality::CableRest);
@@ -467,13 +467,13 @@ fn residuals(
 ) -> Vec<Residual> {
     let simulated = stretch.simulate(&model, start);
     let pairs = simulated.iter().zip(stretch.samples());
-    let of = |(a, b): (&State, &crate::replay::MotionSample)| {
-        [a.theta - b.state.theta, a.alpha + zero_rad - b.state.alpha]
+    let of = |(simulated, measured): (&State, &crate::replay::MotionSample)| {
+        [simulated.theta - measured.state.theta, simulated.alpha + zero_rad - measured.state.alpha]
     };
     pairs.map(of).collect()
 }
 
-/// Maps items on all processors; the results have the order of the items, whatever the number of
+/// Maps items on all processors; the results have the order of the items for any number of
 /// processors.
 fn side_by_side<T: Sync, R: Send>(items: &[T], map: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let threads = thread::available_parallelism().map_or(1, NonZero::get).min(items.len());

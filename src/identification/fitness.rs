@@ -4,7 +4,7 @@ use super::stretch::duration_of;
 use crate::qube::{Encoder, Encoders, State};
 use crate::replay::{MotionLog, MotionSample};
 
-/// Shortest recording that is fitted, s.
+/// Shortest recording that [`check_recording`] accepts, s.
 const SHORTEST_S: f64 = 2.0;
 
 /// Longest time between two samples that is no interruption, s: two control periods, after one lost
@@ -21,8 +21,8 @@ const INTERRUPTIONS_SHARE: f64 = 0.02;
 /// Voltage, of either sign, that a recording must reach at least once, V.
 const LEAST_VOLTAGE_V: f64 = 0.5;
 
-/// Largest voltage that can be meant in V, V: the supply of a motor several times as large as a
-/// Qube's.
+/// Largest voltage that a recording may have, V: the supply of a motor several times as large as a
+/// Qube's. A larger number is probably in mV.
 const LARGEST_VOLTAGE_V: f64 = 48.0;
 
 /// Smallest range of the motion of each angle in a recording, rad.
@@ -48,7 +48,7 @@ const PENDULUM_ALONE_RAD: f64 = 0.6;
 const FASTEST_RAD_S: f64 = 80.0;
 
 /// Tolerance for noise in a single step, rad.
-const STEP_ROOM_RAD: f64 = 0.1;
+const STEP_TOLERANCE_RAD: f64 = 0.1;
 
 /// Smallest step, in counts, after which an angle that stays at its extreme counts as clipped:
 /// before a true turning point the angle slows down.
@@ -146,7 +146,7 @@ pub enum Unfit {
         angle: &'static str,
         /// Time since the start, s.
         at_s: f64,
-        /// Size of the jump, rad.
+        /// Change of the angle by the jump, rad.
         jump_rad: f64,
     },
     /// An angle stops abruptly at its largest or smallest value.
@@ -161,8 +161,8 @@ pub enum Unfit {
     },
     /// The recorded velocities of an angle do not match its motion between the sampling times.
     #[error(
-        "its times are not those it was recorded at: {angle} moves {factor:.2} times as fast as its \
-         velocities say. Was it recorded at another rate?"
+        "it was not recorded at these times: {angle} moves {factor:.2} times as fast as its velocities \
+         say. Was it recorded at another rate?"
     )]
     OtherRate {
         /// Name of the angle.
@@ -203,8 +203,9 @@ pub enum Unfit {
 }
 
 impl Unfit {
-    /// Whether the recording shows no defect, but is too short, or too little moves in it.
-    pub(super) fn says_too_little(self) -> bool {
+    /// Returns whether the recording shows no defect, but is too short or has too little voltage or
+    /// motion.
+    pub(super) fn is_uninformative(self) -> bool {
         matches!(self, Self::Short { .. } | Self::NoVoltage | Self::NoMotion { .. })
     }
 }
@@ -235,7 +236,7 @@ pub(super) fn check_motion(log: &MotionLog, shortest_s: f64) -> Result<(), Unfit
         return Err(Unfit::NotVolts { voltage_v });
     }
     let hard_stop_rad = log.plant.limits.hard_stop_rad;
-    let at_stop = |s: &&MotionSample| s.state.theta.abs() > hard_stop_rad - STOP_MARGIN_RAD;
+    let at_stop = |it: &&MotionSample| it.state.theta.abs() > hard_stop_rad - STOP_MARGIN_RAD;
     if let Some(sample) = samples.iter().find(at_stop) {
         let (at_s, theta_rad) = (sample.time_s - start_s, sample.state.theta);
         return Err(Unfit::AtStop { at_s, theta_rad, hard_stop_rad });
@@ -317,7 +318,7 @@ fn jump(samples: &[MotionSample], angle: Angle) -> Result<(), Unfit> {
     for pair in samples.windows(2) {
         let step_s = pair[1].time_s - pair[0].time_s;
         let jump_rad = (angle.of)(&pair[1].state) - (angle.of)(&pair[0].state);
-        if jump_rad.abs() > FASTEST_RAD_S * step_s + STEP_ROOM_RAD {
+        if jump_rad.abs() > FASTEST_RAD_S * step_s + STEP_TOLERANCE_RAD {
             let at_s = pair[1].time_s - samples[0].time_s;
             return Err(Unfit::Jump { angle: angle.name, at_s, jump_rad });
         }
@@ -392,7 +393,7 @@ fn frozen(samples: &[MotionSample], start_s: f64, encoders: Encoders) -> Result<
     let (mut arm, mut pendulum) = (Extent::NONE, Extent::NONE);
     for (now, sample) in samples.iter().enumerate() {
         let of = |index: usize| &samples[index];
-        let same = |a: f64, b: f64| (a - b).abs() <= 2.01 * theta_rad;
+        let same = |one: f64, other: f64| (one - other).abs() <= 2.01 * theta_rad;
         let turning = sample.voltage_v.abs() >= TURNING_VOLTAGE_V
             && sample.voltage_v * of(arm_since).voltage_v > 0.0;
         if !turning || !same(sample.state.theta, of(arm_since).state.theta) {

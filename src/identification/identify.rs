@@ -13,10 +13,10 @@ use super::uncertainty::{Estimate, Evidence, Uncertainty, UndeterminedCombinatio
 use crate::qube::{Nonideality, PlantModel, PlantName, QubeModel, State};
 use crate::replay::MotionLog;
 
-/// Lengths of the stretches of chirps and steps, stage by stage, s. Short ones find the
-/// neighbourhood, because their motion depends almost linearly on the unknowns; long ones separate
-/// small effects from noise. Windows of swing-ups are short in every stage, because no model
-/// predicts an upright pendulum for long. [`UPRIGHT_FIRST_S`] comes before the first stage.
+/// Lengths of the stretches of chirps and steps, stage by stage, s. Short stretches find the
+/// neighbourhood, because their motion depends almost linearly on the unknowns; long stretches
+/// separate small effects from noise. Windows of swing-ups are short in every stage, because no
+/// model predicts an upright pendulum for long. [`UPRIGHT_FIRST_S`] comes before the first stage.
 const STAGES_S: [f64; 3] = [0.5, 2.0, f64::INFINITY];
 
 /// Largest length of all windows of the fit before the first stage, s. This fit is made only if a
@@ -25,7 +25,7 @@ const STAGES_S: [f64; 3] = [0.5, 2.0, f64::INFINITY];
 const UPRIGHT_FIRST_S: f64 = 0.15;
 
 /// Residual (root mean square) over the windows of the first stage beyond which the fit explains
-/// nothing, rad. The real Qube's chirps leave 0.01.
+/// nothing, rad. The real Qube's chirps leave 0.01 rad.
 const LARGEST_RESIDUAL_RAD: f64 = 0.1;
 
 /// Largest share of the motion that a fit may leave unexplained over whole chirps and steps; the
@@ -64,16 +64,16 @@ pub struct Identified {
     /// Correlations of the errors of the estimates, -1 to 1, in the order of `estimates`.
     pub correlations: Vec<Vec<f64>>,
     /// Offsets of each recording, in order. The rest angle of the cable in a recording is the
-    /// model's, which is the typical one, plus the recording's offset.
+    /// model's, a typical angle, plus the recording's offset.
     pub offsets: Vec<Offset>,
     /// Scatter of the offsets between recordings; 0 for a single recording.
     pub scatter: Scatter,
     /// Root mean square residuals of the model over the fitted windows.
     pub scale: ResidualScale,
     /// Factor, at least 1, that the standard errors include because recordings, or windows of them,
-    /// contradict each other more than noise does.
+    /// contradict each other more than noise explains.
     pub inflation: f64,
-    /// Whether the model describes the Qube.
+    /// Tests of the model on the recordings.
     pub assessment: Assessment,
     /// Evidence from which the standard errors follow.
     evidence: Evidence,
@@ -105,14 +105,14 @@ pub enum IdentifyError {
     },
     /// The best fit explains nothing.
     #[error(
-        "no Qube explains the recordings: over {STRETCH_S} s the best fit is off by {theta_rad:.2} rad \
+        "no Qube explains the recordings: over at most {STRETCH_S} s the best fit is off by {theta_rad:.2} rad \
          (arm) and {alpha_rad:.2} rad (pendulum). {cause}",
         STRETCH_S = STAGES_S[0]
     )]
     Unexplained {
-        /// Root mean square error of the arm over stretches of half a second, rad.
+        /// Root mean square error of the arm over the windows of the first stage, rad.
         theta_rad: f64,
-        /// Root mean square error of the pendulum over stretches of half a second, rad.
+        /// Root mean square error of the pendulum over the windows of the first stage, rad.
         alpha_rad: f64,
         /// Sign whose reversal would explain the recordings, if there is one.
         cause: Cause,
@@ -151,7 +151,7 @@ pub enum IdentifyError {
     /// The list of quantities to fit is empty.
     #[error("there is nothing to fit: leave at least one quantity free")]
     NoUnknowns,
-    /// A quantity stands twice in the list, or is one that never moves.
+    /// A quantity stands twice in the list, or is not one of [`Unknown::all`].
     #[error("{name} cannot be fitted: it is known, or it stands in the list twice")]
     NotUnknown {
         /// Name of the quantity.
@@ -175,7 +175,7 @@ impl IdentifyError {
 /// The sign that may be the reason why no Qube explains the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// With this sign reversed, a Qube explains them much better.
+    /// The sign with whose reversal a Qube explains them much better.
     Reversed(Sign),
     /// No reversed sign explains them.
     Unknown,
@@ -214,8 +214,8 @@ impl Identified {
         }
     }
 
-    /// The Qube with the cable's mean rest angle in the fitted recordings that have these indices;
-    /// without an index, the typical Qube.
+    /// The model with the cable's mean rest angle in the fitted recordings that have these indices;
+    /// without an index, with its typical rest angle.
     #[must_use]
     pub fn model_of(&self, recordings: &[usize]) -> QubeModel {
         let own = recordings.iter().filter_map(|&index| self.offsets.get(index));
@@ -227,11 +227,11 @@ impl Identified {
     }
 
     /// Compares the model with held-out recordings: recordings of the same plant to which it was
-    /// not fitted. Doubts the model if it explains them much worse than the fitted ones, or if they
-    /// contradict its estimates ([`MissingEffect`](super::MissingEffect)). Widens the standard
-    /// errors by the factor by which the held-out recordings contradict the fit more than noise and
-    /// standard errors predict. Returns the [`Assessment::noise_ratio`] of the held-out recordings;
-    /// `None` without any.
+    /// not fitted. Doubts the model if it explains them much worse than the fitted recordings, or
+    /// if they contradict its estimates ([`MissingEffect`](super::MissingEffect)). Widens the
+    /// standard errors by the factor by which the held-out recordings contradict the fit more than
+    /// noise and standard errors predict. Returns the [`Assessment::noise_ratio`] of the held-out
+    /// recordings; `None` without any.
     pub fn hold_out(&mut self, logs: &[MotionLog]) -> Option<f64> {
         let plant = &logs.first()?.plant;
         let unknowns: Vec<Unknown> = self.estimates.iter().map(|it| it.unknown).collect();
@@ -266,7 +266,7 @@ impl fmt::Display for Cause {
             Self::Unknown => {
                 return f.write_str(
                     "No reversed sign explains them either: are all recordings of one Qube, is the \
-                     pendulum a different one, is a value that was not to be fitted wrong, or does \
+                     pendulum a different one, is a value that was kept fixed wrong, or does \
                      something in the drive slip or stick?",
                 );
             }
@@ -278,14 +278,14 @@ impl fmt::Display for Cause {
     }
 }
 
-/// Identifies the Qube, or the specimen of another plant, that made recordings, by maximum
-/// likelihood. The estimates of `unknowns` start from `first_guess`, whose other quantities stay as
-/// they are. The weak priors of [`Unknown::prior`] decide where the data leave a quantity open.
-/// Recordings may be any mixture of chirps, steps, swing-ups and balancing.
+/// Identifies the Qube, or the specimen of another plant, that made recordings: finds the maximum
+/// of the posterior. The estimates of `unknowns` start from `first_guess`, whose other quantities
+/// stay as they are. The priors of [`Unknown::prior`] are weak and decide only where the data leave
+/// a quantity open. Recordings may be any mixture of chirps, steps, swing-ups and balancing.
 ///
 /// # Errors
-/// There is no recording or nothing to fit, the recordings are of different plants, a recording
-/// cannot be fitted, or no Qube explains them.
+/// There is no recording or nothing to fit, a quantity to fit is known already or listed twice, the
+/// recordings are of different plants, a recording cannot be fitted, or no Qube explains them.
 pub fn identify(
     logs: &[MotionLog],
     unknowns: &[Unknown],
@@ -467,8 +467,8 @@ fn motion_rad(logs: &[&MotionLog], angle: fn(&State) -> f64) -> f64 {
     (squares / count).sqrt()
 }
 
-/// Name, value and likely value of the fitted quantity that is farthest from any Qube's; `None`
-/// when all are plausible.
+/// Name, value and likely value of the fitted quantity that is farthest from the values of any
+/// Qube; `None` when all are plausible.
 fn implausible(
     unknowns: &[Unknown],
     plant: &PlantModel,

@@ -1,16 +1,16 @@
 //! Identification of a Qube from its recordings.
 //!
-//! [`identify()`] estimates parameters and nonidealities by maximum likelihood over windows, each
-//! with its own start state (multiple shooting). It gives standard errors and the combinations that
-//! the recordings do not determine, and tests whether the model describes the Qube.
-//! [`next_excitations`] ranks excitations by their expected information. [`Drift`] compares the
-//! quantities that change from day to day with a profile. Only [`read_recordings`],
+//! [`identify()`] estimates parameters and nonidealities, with weak priors, from windows of the
+//! recordings, each with its own start state (multiple shooting). It gives standard errors and the
+//! combinations that the recordings do not determine, and tests whether the model describes the
+//! Qube. [`next_excitations`] ranks excitations by their expected information. [`Drift`] compares
+//! the quantities that change from day to day with a profile. Only [`read_recordings`],
 //! [`read_fittable`] and [`duplicate`] look at files; the rest of the room is pure computation. It
 //! may import `policy` (the excitations), `recording`, `telemetry`, `qube`, `replay` and
 //! `elementary`.
 //!
 //! This example drives an emulated Qube whose winding has 20 % more resistance than its name plate
-//! says, and finds it:
+//! says, and estimates this resistance:
 //!
 //! ```
 //! use std::sync::Arc;

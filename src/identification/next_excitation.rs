@@ -1,4 +1,4 @@
-//! Chooses the excitation from which most is to be learnt, by the expected information.
+//! Chooses the excitation with the largest expected information.
 
 use nalgebra::DMatrix;
 
@@ -34,8 +34,8 @@ pub struct ExpectedExcitation {
     pub information_nats: f64,
 }
 
-/// The excitation of a rollout, counted from 0: the one that is expected to tell most about an
-/// identified Qube, and a chirp of `largest_v` volts without a profile, or if no excitation is
+/// The excitation of a rollout, counted from 0, with the largest expected information about an
+/// identified Qube; a chirp of `largest_v` volts without a profile, or if no excitation is
 /// possible. Consecutive rollouts start in opposite directions.
 #[must_use]
 pub fn excitation_after(
@@ -52,14 +52,14 @@ pub fn excitation_after(
 }
 
 /// The excitations that are possible as the next recording of an identified Qube, within
-/// `largest_v` volts, the one with the most expected information first. Excitations that would move
-/// the arm of the identified model too far, and those whose recording no fit would accept, are left
+/// `largest_v` volts, in order of falling expected information. Excitations that would move the arm
+/// of the identified model too far, and excitations whose recording no fit would accept, are left
 /// out.
 ///
 /// For normal errors the expected information is ½ ln det(I + Σ J'J/σ²), where Σ is the covariance
 /// of the profile, J holds the derivatives of the recording that the excitation would make, without
-/// what its own start state and zero explain, and σ is the encoders' rounding (Lindley, *On a
-/// Measure of the Information Provided by an Experiment*, 1956).
+/// the part that its own start state and zero explain, and σ is the encoders' rounding (Lindley,
+/// *On a Measure of the Information Provided by an Experiment*, 1956).
 #[must_use]
 pub fn next_excitations(
     profile: &Profile,
@@ -117,7 +117,7 @@ pub(super) fn simulated(
         let voltage_v = excitation.voltage_v(&measured);
         let time_s = f64::from(tick) * CONTROL_PERIOD_S;
         samples.push(MotionSample { time_s, state: measured, voltage_v });
-        // The motion to the next sample depends on its time alone.
+        // The simulation of the next period needs only the time of the sample at its end.
         let next = MotionSample { time_s: time_s + CONTROL_PERIOD_S, ..samples[tick as usize] };
         samples.push(next);
         let last_two = tick as usize..tick as usize + 2;
@@ -140,7 +140,7 @@ fn information(log: &MotionLog, model: &QubeModel, unknowns: &[Unknown]) -> DMat
     information
 }
 
-/// ½ ln det(I + Σ I'), in nats.
+/// The expected information ½ ln det(I + Σ I') in nats, for a covariance Σ and an information I'.
 fn expected_nats(covariance: &DMatrix<f64>, information: &DMatrix<f64>) -> f64 {
     let eigen = covariance.clone().symmetric_eigen();
     let roots = DMatrix::from_fn(covariance.nrows(), covariance.ncols(), |row, column| {
@@ -165,8 +165,9 @@ mod tests {
     /// or of one SI unit: their entropy up to a constant.
     fn entropy_nats(found: &Identified) -> f64 {
         let error = |index: usize| {
-            let it = &found.estimates[index];
-            it.standard_error / if it.unknown.is_parameter() { it.value } else { 1.0 }
+            let estimate = &found.estimates[index];
+            estimate.standard_error
+                / if estimate.unknown.is_parameter() { estimate.value } else { 1.0 }
         };
         let count = found.estimates.len();
         let correlation = |row: usize, column: usize| found.correlations[row][column];
@@ -187,7 +188,7 @@ mod tests {
             (&[4.0][..], &[2.0][..], 3.0_f64.ln()),
             (&[1e-6], &[1e6], 0.5 * 2.0_f64.ln()),
             (&[4.0], &[0.0], 0.0),
-            // Of two parameters whose errors are correlated, one is seen.
+            // One of two parameters with correlated errors is seen.
             (&[2.0, 1.0, 1.0, 2.0], &[4.0, 0.0, 0.0, 0.0], 3.0_f64.ln()),
             (&[3.0, 0.0, 0.0, 8.0], &[1.0, 0.0, 0.0, 1.0], 6.0_f64.ln()),
         ] {
@@ -208,12 +209,14 @@ mod tests {
             let ExpectedExcitation { shape, voltage_v, information_nats } = expected;
             let second = simulated(Excitation::new(shape, voltage_v), &lab, &plant);
             let after = found_in(&[first.clone(), second]);
-            let told = entropy_nats(&before) - entropy_nats(&after);
-            println!("{shape:?} of {voltage_v} V: {information_nats} nats expected, {told} told");
+            let gained = entropy_nats(&before) - entropy_nats(&after);
+            println!(
+                "{shape:?} of {voltage_v} V: {information_nats} nats expected, {gained} gained"
+            );
             // The second recording changes the estimate of the noise too. Neither a logarithm to
             // the base 2 nor a missing factor of one half is within these limits.
-            let ratio = told / information_nats;
-            assert!((0.65..1.6).contains(&ratio), "{expected:?}, and {told} nats were told");
+            let ratio = gained / information_nats;
+            assert!((0.65..1.6).contains(&ratio), "{expected:?}, but the gain is {gained} nats");
         }
         let is_chirp_again =
             |it: &ExpectedExcitation| it.shape == ExcitationShape::Chirp && it.voltage_v == 1.5;

@@ -3,10 +3,10 @@
 use super::stretch::Stretch;
 use crate::qube::{Encoders, QubeModel};
 
-/// A quantity that homing sets anew, so that recordings differ in it.
+/// A quantity that each homing sets anew and in which recordings therefore differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum HomingOffset {
-    /// The cable's rest angle, relative to the typical one.
+    /// The cable's rest angle, relative to the typical rest angle.
     CableRest,
     /// The pendulum's measured angle where it hangs.
     AlphaZero,
@@ -20,7 +20,7 @@ impl HomingOffset {
 /// The offsets of one recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Offset {
-    /// The cable's rest angle minus the typical one, rad.
+    /// The cable's rest angle minus the typical rest angle, rad.
     pub cable_rest_rad: f64,
     /// The pendulum's measured angle where it hangs, rad.
     pub alpha_zero_rad: f64,
@@ -88,7 +88,8 @@ impl Scatter {
     }
 }
 
-/// For each stretch the index of its recording, in the order in which the recordings first occur.
+/// The index of each stretch's recording; recordings are counted in the order of their first
+/// stretches.
 pub(super) fn recordings(stretches: &[Stretch<'_>]) -> Vec<usize> {
     let mut indices = Vec::with_capacity(stretches.len());
     let mut next = 0;

@@ -58,7 +58,7 @@ impl HorizonError {
 /// The state at the first sample with which the model explains the first 0.2 s best.
 ///
 /// # Panics
-/// Panics if the log has fewer than two samples, or times that do not increase.
+/// Panics if the log has no sample, and may panic if a time is NaN.
 #[must_use]
 pub fn start_state(log: &MotionLog, model: &QubeModel) -> State {
     state_at(&Stretch::from(&log.samples, 0, KNOWN_S), &log.plant, model).0
@@ -69,7 +69,7 @@ pub fn start_state(log: &MotionLog, model: &QubeModel) -> State {
 /// that is too short for this is predicted once, to its end.
 ///
 /// # Panics
-/// Panics as [`start_state`] does, or if `horizon_s` is no positive number.
+/// Panics as [`start_state`] does, and may panic if `horizon_s` is no positive number.
 #[must_use]
 pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> HorizonError {
     let (mut theta, mut alpha, mut count, mut predictions) = (0.0, 0.0, 0, 0);
@@ -82,8 +82,8 @@ pub fn horizon_error(logs: &[MotionLog], model: &QubeModel, horizon_s: f64) -> H
             let known = Stretch::from(samples, first, KNOWN_S);
             let (start, known_samples) = state_at(&known, &log.plant, model);
             let all = Stretch::from(samples, first, KNOWN_S + horizon_s);
-            let errors = all.simulate(model, start);
-            for (state, sample) in errors.iter().zip(all.samples()).skip(known_samples) {
+            let states = all.simulate(model, start);
+            for (state, sample) in states.iter().zip(all.samples()).skip(known_samples) {
                 theta += (state.theta - sample.state.theta).powi(2);
                 alpha += (state.alpha - sample.state.alpha).powi(2);
                 count += 1;
@@ -188,9 +188,9 @@ pub fn regime_error(
     HorizonError { horizon_s: times.horizon_s, rms, predictions }
 }
 
-/// The band about a prediction of half a second in which nine tenths of the errors lie, as the
-/// fitted recordings show it: no assumption on the errors enters, so that the band also holds where
-/// the model lacks an effect.
+/// The band about a prediction of half a second in which nine tenths of the errors lie in the
+/// fitted recordings. It assumes no distribution of the errors and so also holds where the model
+/// lacks an effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictionBand {
     /// Half the widths of the bands of theta and alpha.
@@ -200,7 +200,7 @@ pub struct PredictionBand {
 }
 
 impl PredictionBand {
-    /// The band that these errors show; `None` of fewer than ten.
+    /// The band that these errors show; `None` for fewer than ten.
     #[must_use]
     pub fn of(errors: &[AngleError]) -> Option<Self> {
         if errors.len() < 10 {
@@ -209,8 +209,8 @@ impl PredictionBand {
         let half_width_rad = |angle: fn(&AngleError) -> f64| {
             let mut sizes: Vec<f64> = errors.iter().map(|error| angle(error).abs()).collect();
             sizes.sort_by(f64::total_cmp);
-            // Of n errors of the same kind, a further one is below the k-th with the chance
-            // k / (n + 1).
+            // The probability that a further error of the same kind is below the k-th of n errors
+            // is k / (n + 1).
             let rank = (BAND_SHARE * (sizes.len() + 1) as f64).ceil() as usize;
             sizes[rank.min(sizes.len()) - 1]
         };

@@ -16,9 +16,10 @@ pub struct Recordings<const N: usize> {
     pub groups: [Vec<MotionLog>; N],
     /// Paths of the recordings of each group, in the same order.
     pub files: [Vec<PathBuf>; N],
-    /// Recordings that say too little; they are left out, because others of their group are used.
+    /// Uninformative recordings; they are left out, because others of their group are used.
     pub left_out: Vec<LeftOut>,
-    /// Plant of all recordings; the built-in Qube if there is no recording.
+    /// Plant of all recordings. If there is no recording, it is the plant that the caller gave, or
+    /// else the built-in Qube.
     pub plant: PlantModel,
     /// Serial numbers of the boards that made the recordings of the first group, each once.
     pub boards: Vec<String>,
@@ -26,14 +27,14 @@ pub struct Recordings<const N: usize> {
     pub incomplete: Vec<IncompleteRecording>,
 }
 
-/// Recordings of one plant of which those that say too little are left out.
+/// Recordings of one plant without the uninformative recordings.
 #[derive(Debug, Default)]
 pub struct FittableRecordings {
     /// Motions of the recordings that are used.
     pub logs: Vec<MotionLog>,
     /// Paths of the recordings that are used, in the same order.
     pub files: Vec<PathBuf>,
-    /// Recordings that say too little; they are left out, because others are used.
+    /// Uninformative recordings; they are left out, because others are used.
     pub left_out: Vec<LeftOut>,
     /// Serial numbers of the boards that made the recordings that are used.
     pub boards: BTreeSet<String>,
@@ -52,13 +53,13 @@ pub struct IncompleteRecording {
     pub used_s: f64,
 }
 
-/// A recording that says too little for a fit: the policy never drove the motor or only briefly,
-/// the voltage was never large, or hardly anything moves.
+/// An uninformative recording, which determines too little for a fit: the policy never drove the
+/// motor or only briefly, the voltage was never large, or hardly anything moves.
 #[derive(Debug)]
 pub struct LeftOut {
     /// Path of the file.
     pub path: PathBuf,
-    /// Defect of the recording, in a sentence that names the file.
+    /// Reason why the recording is left out, in a sentence that names the file.
     pub why: RecordingsError,
 }
 
@@ -96,14 +97,14 @@ pub enum RecordingsError {
         /// Reason why it is refused.
         why: Unfit,
     },
-    /// A file holds the motion of another one, or a part of it.
+    /// A file holds the motion of another file, or a part of that motion.
     #[error(
         "{path} holds the same motion as {other}: the same data would count as new evidence. Name each recording once"
     )]
     SameMotion {
-        /// Path of the later file.
+        /// Path of the file with the shorter motion; the later file if both are equally long.
         path: PathBuf,
-        /// Path of the earlier file.
+        /// Path of the other file.
         other: PathBuf,
     },
     /// Two paths name the same file.
@@ -111,18 +112,18 @@ pub enum RecordingsError {
         "{path} is named twice: the same data would count as new evidence. Name each recording once"
     )]
     NamedTwice {
-        /// The later one of the two paths.
+        /// The later of the two paths.
         path: PathBuf,
     },
 }
 
 impl RecordingsError {
-    /// Whether the recording shows no defect, but says too little ([`Unfit::says_too_little`]).
-    /// Others can be fitted without it.
-    fn says_too_little(&self) -> bool {
+    /// Returns whether the recording shows no defect, but is uninformative
+    /// ([`Unfit::is_uninformative`]). Others can be fitted without it.
+    fn is_uninformative(&self) -> bool {
         match self {
             Self::Motion(MotionLogError::NeverRan { .. }) => true,
-            Self::Unfit { why, .. } => why.says_too_little(),
+            Self::Unfit { why, .. } => why.is_uninformative(),
             _ => false,
         }
     }
@@ -135,14 +136,15 @@ impl fmt::Display for IncompleteRecording {
     }
 }
 
-/// Reads groups of recordings and refuses those that cannot be fitted. Recordings that say too
-/// little are left out, unless all of a group do. All others must be of the same plant: of `plant`,
-/// or else of the plant of the first of them. A CSV file names no plant and is taken to be of
-/// `plant`, else of the plant of the recordings before it, else of the built-in Qube.
+/// Reads groups of recordings and refuses recordings that cannot be fitted. Uninformative
+/// recordings are left out, unless a whole group is uninformative. All others must be of the same
+/// plant: of `plant`, or else of the plant of the first of them. A CSV file names no plant and is
+/// taken to be of `plant`, else of the plant of the recordings before it, else of the built-in
+/// Qube.
 ///
 /// # Errors
 /// A file cannot be read or fitted, is of another plant than the others, is named twice, or holds
-/// the motion of another one.
+/// the motion of another file or a part of it; or a whole group is uninformative.
 pub fn read_recordings<const N: usize>(
     groups: [&[PathBuf]; N],
     mut plant: Option<PlantModel>,
@@ -168,7 +170,7 @@ pub fn read_recordings<const N: usize>(
     for (index, &(path, log)) in all.iter().enumerate() {
         let same = all[..index].iter().find(|(_, other)| hold_same_motion(log, other));
         if let Some(&(other, whole)) = same {
-            // The shorter one can be left out.
+            // The shorter recording can be left out.
             let is_part = log.samples.len() <= whole.samples.len();
             let (path, other) = if is_part { (path, other) } else { (other, path) };
             let (path, other) = (path.clone(), other.clone());
@@ -179,12 +181,13 @@ pub fn read_recordings<const N: usize>(
     Ok(Recordings { groups: read, files: used, left_out, plant, boards, incomplete })
 }
 
-/// Reads recordings for a fit, which uses all but those that say too little. All must be of the
-/// same plant: of `plant`, or else of the plant of the first of them, which `plant` then becomes.
+/// Reads recordings for a fit, which uses all but the uninformative recordings. The recordings that
+/// it uses must be of the same plant: of `plant`, or else of the plant of the first of them, which
+/// `plant` then becomes.
 ///
 /// # Errors
 /// A file cannot be read, is of another plant, has a defect because of which it cannot be fitted,
-/// or all recordings say too little.
+/// or all recordings are uninformative.
 pub fn read_fittable(
     paths: &[PathBuf],
     plant: &mut Option<PlantModel>,
@@ -197,7 +200,7 @@ pub fn read_fittable(
                 fittable.files.push(path.clone());
                 fittable.boards.extend(board);
             }
-            Err(why) if why.says_too_little() => {
+            Err(why) if why.is_uninformative() => {
                 fittable.left_out.push(LeftOut { path: path.clone(), why });
             }
             Err(why) => return Err(why),
@@ -216,8 +219,8 @@ const ANGLE_WITHIN_RAD: f64 = 1e-4;
 /// table without the applied voltage has the command, which the wire rounds to steps of 24 mV.
 const VOLTAGE_WITHIN_V: f64 = 0.025;
 
-/// Whether one of two motions is contained in the other: a copy, a table exported from it, or the
-/// saved part of a cut recording.
+/// Returns whether one of two motions is contained in the other: a copy, a table exported from it,
+/// or the saved part of a cut recording.
 fn hold_same_motion(one: &MotionLog, other: &MotionLog) -> bool {
     let (short, long) = if one.samples.len() <= other.samples.len() {
         (&one.samples, &other.samples)
@@ -230,7 +233,9 @@ fn hold_same_motion(one: &MotionLog, other: &MotionLog) -> bool {
             && (one.voltage_v - other.voltage_v).abs() <= VOLTAGE_WITHIN_V
     };
     let starts = 0..=long.len() - short.len();
-    starts.into_iter().any(|start| short.iter().zip(&long[start..]).all(|(a, b)| same(a, b)))
+    starts
+        .into_iter()
+        .any(|start| short.iter().zip(&long[start..]).all(|(one, other)| same(one, other)))
 }
 
 /// Reads one file; returns its motion and the board that made it, if the file names the board.
@@ -241,7 +246,7 @@ fn read_one(
 ) -> Result<(MotionLog, Option<String>), RecordingsError> {
     let RecordedMotion { log, incomplete: why, board } =
         MotionLog::read_of(path, &plant.unwrap_or_default())?;
-    // A recording that is left out says nothing about the plant of the others either.
+    // The check comes first, because a recording that is left out must not set the others' plant.
     check_recording(&log).map_err(|why| RecordingsError::Unfit { path: path.into(), why })?;
     let (own, others) = (&log.plant, plant.get_or_insert(log.plant));
     if own != others {

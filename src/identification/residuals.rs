@@ -30,8 +30,7 @@ impl ResidualScale {
         Self { theta_rad: of(encoders.theta), alpha_rad: of(encoders.alpha) }
     }
 
-    /// Whether both standard deviations are at most `limit_rad`. A standard deviation that is no
-    /// number is within no limit.
+    /// Returns whether both standard deviations are at most `limit_rad`. NaN exceeds every limit.
     pub(super) fn is_within(self, limit_rad: f64) -> bool {
         self.theta_rad <= limit_rad && self.alpha_rad <= limit_rad
     }
@@ -75,7 +74,7 @@ pub(super) fn robust_cost(noise: &Noise, residuals: &[Residual]) -> f64 {
     } else {
         2.0 * BAD_STRETCH * square.sqrt() - BAD_STRETCH * BAD_STRETCH
     };
-    // 0 times an infinite square is NaN, by which the fit recognises a motion that diverges.
+    // 0 times an infinite square is NaN, by which the fit detects a motion that diverges.
     2.0 * residuals.len() as f64 * bounded / noise.autocorrelation_samples + 0.0 * square
 }
 
@@ -112,7 +111,7 @@ pub(super) fn updated_noise(
             let (mut squares, mut count) = (0.0, 0.0);
             for residuals in &own_residuals {
                 let weight = robust_weight(mean_square(own, residuals));
-                squares += weight * residuals.iter().map(|r| r[angle].powi(2)).sum::<f64>();
+                squares += weight * residuals.iter().map(|it| it[angle].powi(2)).sum::<f64>();
                 count += weight * residuals.len() as f64;
             }
             (squares / count).sqrt()
@@ -131,8 +130,9 @@ pub(super) fn updated_noise(
 const ROUNDS: usize = 4;
 
 /// Estimates scale and correlation of each regime from these residuals alone. A regime without
-/// stretches gets those of the quietest other one: nothing is known of its residuals, and a model
-/// that holds leaves residuals of about the encoders' rounding in every regime.
+/// stretches gets the noise of the quietest other regime: its own residuals are unknown, and a
+/// model that holds leaves residuals of about the encoders' rounding in every regime. Without any
+/// stretch, all regimes get [`Noise::of_resolution`].
 pub(super) fn noise_from_residuals(
     stretches: &[Stretch<'_>],
     residuals: &[Vec<Residual>],
@@ -158,7 +158,7 @@ pub(super) fn noise_from_residuals(
 pub(super) fn scale_of(residuals: &[Vec<Residual>]) -> ResidualScale {
     let count = residuals.iter().map(Vec::len).sum::<usize>().max(1) as f64;
     let rms = |angle: usize| {
-        let squares: f64 = residuals.iter().flatten().map(|r| r[angle].powi(2)).sum();
+        let squares: f64 = residuals.iter().flatten().map(|it| it[angle].powi(2)).sum();
         (squares / count).sqrt()
     };
     ResidualScale { theta_rad: rms(0), alpha_rad: rms(1) }
@@ -182,7 +182,7 @@ fn autocorrelation_samples(residuals: &[&Vec<Residual>]) -> f64 {
             let mut time = 1.0;
             for lag in 1..values.len() {
                 let products = values.iter().zip(&values[lag..]);
-                let correlation = products.map(|(a, b)| a * b).sum::<f64>() / power;
+                let correlation = products.map(|(one, other)| one * other).sum::<f64>() / power;
                 if correlation <= 0.0 {
                     break;
                 }
@@ -203,7 +203,7 @@ mod tests {
     use crate::replay::MotionSample;
 
     #[test]
-    fn a_regime_that_was_not_recorded_has_the_noise_of_the_quietest_one() {
+    fn a_regime_that_was_not_recorded_has_the_noise_of_the_quietest_regime() {
         let sample = MotionSample { time_s: 0.0, state: State::default(), voltage_v: 0.0 };
         let samples = [sample; 4];
         let stretch = |regime| Stretch { regime, recording: &samples, first: 0, end: 4 };
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn residuals_that_are_no_numbers_are_within_no_limit() {
+    fn residuals_that_are_not_finite_exceed_every_limit() {
         let scale = |residual: Residual| scale_of(&[vec![[0.01, 0.02], residual]]);
         assert!(scale([0.01, 0.02]).is_within(0.02 + 1e-12));
         assert!(!scale([0.01, 0.02]).is_within(0.015));

@@ -30,9 +30,9 @@ const PRODUCT_STEP: f64 = 1e-5;
 /// its sample. Then no integration step ends at the arrival, and the derivative would be lost.
 const SMALLEST_DELAY_S: f64 = 1e-7;
 
-/// The residuals of a stretch and their derivatives. The residuals are those of theta and alpha at
-/// each sample, in units of `scale`. The derivatives have one column for each unknown, then four
-/// for the start state.
+/// The residuals of a stretch and their derivatives. The residuals of theta and alpha at each
+/// sample are in units of `scale`. The derivatives have one column for each unknown, then four
+/// columns for the start state.
 pub(super) fn linearised(
     stretch: &Stretch<'_>,
     unknowns: &[Unknown],
@@ -91,7 +91,7 @@ fn with_slopes<const N: usize>(
     plant: &PlantModel,
     model: &QubeModel,
 ) -> (NonidealDynamics<Dual<N>>, Dual<N>) {
-    // Raised before the step, so that the delay's derivative is 1 at a delay of 0, too.
+    // The delay is raised before the step, so that its derivative is 1 at a delay of 0, too.
     let mut model = *model;
     let delay_s = &mut model.nonidealities.command_delay_s;
     *delay_s = delay_s.max(SMALLEST_DELAY_S);
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_slope_by_the_delay_is_that_of_finite_differences_from_a_delay_of_0_on() {
+    fn the_slope_by_the_delay_agrees_with_finite_differences_from_a_delay_of_0_on() {
         let recording = pushes();
         let stretch = Stretch::from(&recording, 0, 0.4);
         let unknowns = [Unknown::from(Nonideality::CommandDelay)];

@@ -13,9 +13,10 @@ const UPRIGHT_S: f64 = 0.25;
 /// Largest length of a window of a swing-up whose pendulum is not upright, s.
 const SWINGING_S: f64 = 0.5;
 
-/// Time from the beginning of a recording before which no window begins, s: the longest delay for
-/// which every command that acts in a window is known. A recording does not hold the commands that
-/// were on their way to the motor when it began.
+/// Time from the beginning of a recording before which no window begins, unless the recording is
+/// very short ([`first_of_windows`]), s: the longest delay for which every command that acts in a
+/// window is known. A recording does not hold the commands that were on their way to the motor when
+/// it began.
 const UNKNOWN_COMMANDS_S: f64 = 0.04;
 
 /// Time on both sides of a sample over which velocities are differences of angles, s.
@@ -41,20 +42,20 @@ impl Regime {
 /// A part of a recording that is simulated from a start state of its own.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stretch<'a> {
-    /// Whole recording: because of the command delay, commands from before the stretch may still
-    /// take effect in it.
+    /// Whole recording: because of the command delay, commands from before the stretch may take
+    /// effect within it.
     pub recording: &'a [MotionSample],
     /// Index in the recording of the stretch's first sample.
     pub first: usize,
     /// Index after the stretch's last sample.
     pub end: usize,
-    /// The motion of the pendulum.
+    /// Kind of the pendulum's motion.
     pub regime: Regime,
 }
 
 impl<'a> Stretch<'a> {
     /// The stretch that begins at the sample `first` and lasts `duration_s`, or until the recording
-    /// ends.
+    /// ends. Its regime is `Swinging` or `Upright` in any recording.
     pub fn from(recording: &'a [MotionSample], first: usize, duration_s: f64) -> Self {
         let end = end_after(recording, first, duration_s);
         Self { recording, first, end, regime: regime_in(&recording[first..end]) }
@@ -63,8 +64,8 @@ impl<'a> Stretch<'a> {
     /// Cuts a recording into windows. They last about `longest_s` if the pendulum never comes
     /// upright, otherwise at most `longest_s`, at most 0.5 s, and at most 0.25 s where the pendulum
     /// comes upright within 0.5 s. Neighbouring windows share a sample. In a recording with an
-    /// upright pendulum a window shorter than 0.125 s is left out, and so is the beginning of every
-    /// recording: see [`UNKNOWN_COMMANDS_S`].
+    /// upright pendulum a window shorter than 0.125 s is left out. The beginning of any recording
+    /// but a very short one is left out, too: see [`UNKNOWN_COMMANDS_S`].
     pub fn windows(recording: &'a [MotionSample], longest_s: f64) -> Vec<Self> {
         if !is_upright(recording) {
             return Self::cut(recording, longest_s, |_| Regime::Hanging);
@@ -107,12 +108,12 @@ impl<'a> Stretch<'a> {
         &self.recording[self.first..self.end]
     }
 
-    /// Whether both stretches are the same samples of the same recording.
+    /// Returns whether both stretches are the same samples of the same recording.
     pub fn is_same_as(&self, other: &Self) -> bool {
         self.is_of_same_recording(other) && self.range() == other.range()
     }
 
-    /// Whether both stretches are parts of the same recording.
+    /// Returns whether both stretches are parts of the same recording.
     pub fn is_of_same_recording(&self, other: &Self) -> bool {
         std::ptr::eq(self.recording, other.recording)
     }
@@ -162,8 +163,8 @@ impl<'a> Stretch<'a> {
     }
 }
 
-/// Index of the sample at which the first window of a recording begins; 0 in a recording that is
-/// hardly longer than [`UNKNOWN_COMMANDS_S`].
+/// Index of the sample at which the first window of a recording begins; 0 in a recording shorter
+/// than five times [`UNKNOWN_COMMANDS_S`].
 pub(super) fn first_of_windows(recording: &[MotionSample]) -> usize {
     if duration_of(recording) < 5.0 * UNKNOWN_COMMANDS_S {
         return 0;
@@ -172,19 +173,19 @@ pub(super) fn first_of_windows(recording: &[MotionSample]) -> usize {
     recording.partition_point(|sample| sample.time_s < known_s)
 }
 
-/// The regime of samples that belong to a recording whose pendulum comes upright.
+/// The regime of samples, without regard to the rest of their recording: never `Hanging`.
 fn regime_in(samples: &[MotionSample]) -> Regime {
     if is_upright(samples) { Regime::Upright } else { Regime::Swinging }
 }
 
-/// Whether the pendulum comes within 60 degrees of the top in a recording, so that no model
-/// predicts the whole of it.
+/// Returns whether the pendulum comes within 60 degrees of the top in a recording; no model
+/// predicts the whole of such a recording.
 #[must_use]
 pub fn comes_upright(log: &MotionLog) -> bool {
     is_upright(&log.samples)
 }
 
-/// Whether the pendulum comes within 60 degrees of the top.
+/// Returns whether the pendulum comes within 60 degrees of the top.
 pub(super) fn is_upright(samples: &[MotionSample]) -> bool {
     samples.iter().any(|sample| sample.state.alpha.cos() < UPRIGHT_COS)
 }
@@ -222,7 +223,7 @@ mod tests {
             assert!(windows.windows(2).all(|pair| pair[1].first == pair[0].end - 1));
             let shorter = Stretch::windows(&recording, 0.15);
             assert!(shorter.iter().all(|window| duration_of(window.samples()) < 0.16));
-            // A short one is used whole.
+            // A short recording is used whole.
             assert_eq!(Stretch::windows(&recording[..19], 0.5)[0].first, 0);
         }
     }

@@ -51,7 +51,9 @@ fn driven(
     };
     let samples = samples.into_iter().zip(states);
     MotionLog {
-        samples: samples.map(|(s, state)| MotionSample { state: encoded(state), ..s }).collect(),
+        samples: samples
+            .map(|(sample, state)| MotionSample { state: encoded(state), ..sample })
+            .collect(),
         plant: PlantModel::QUBE,
     }
 }
@@ -154,7 +156,7 @@ fn recordings_of_one_homing_have_one_rest_angle() {
 }
 
 #[test]
-fn what_is_fixed_stays() {
+fn fixed_quantities_keep_their_values() {
     let moves = [Nonideality::CommandDelay.into(), Nonideality::CoulombTorque.into()];
     let found = identify(&[chirp(&truth(), 1.0, 2.0)], &moves, &QubeModel::NOMINAL).unwrap();
     assert_eq!(found.model.parameters, QubeModel::NOMINAL.parameters);
@@ -184,7 +186,7 @@ fn a_recording_with_a_few_short_interruptions_is_fitted_as_well() {
 }
 
 #[test]
-fn recordings_that_say_nothing_or_something_wrong_are_named() {
+fn uninformative_and_defective_recordings_are_named() {
     let good = chirp(&truth(), 1.0, 4.0);
     assert_eq!(check_recording(&good), Ok(()));
     let changed = |change: &dyn Fn(usize, &mut MotionSample)| {
@@ -255,7 +257,7 @@ fn recordings_with_wrong_times_or_cut_off_angles_are_named() {
         log.samples.iter_mut().enumerate().for_each(|(index, sample)| change(index, sample));
         check_recording(&log)
     };
-    // The file was recorded at 250 Hz, and its times say 100 or 500 Hz.
+    // The file was recorded at 250 Hz, and its times correspond to 100 or 500 Hz.
     for rate_hz in [100.0, 500.0] {
         let unfit = changed(&|index, sample| sample.time_s = index as f64 / rate_hz);
         assert!(matches!(unfit, Err(Unfit::OtherRate { .. })), "{rate_hz}: {unfit:?}");
@@ -304,7 +306,7 @@ fn warming_chirp(truth: &QubeModel, sign: f64, share: f64) -> MotionLog {
 }
 
 #[test]
-fn a_motor_that_warms_is_doubted_and_one_that_does_not_is_not() {
+fn only_a_motor_that_warms_raises_a_doubt() {
     for (share, verdict) in [(0.0, ModelVerdict::Fits), (0.3, ModelVerdict::FitsBut)] {
         let logs = [1.0, -1.0].map(|sign| warming_chirp(&truth(), sign, share));
         let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
@@ -346,8 +348,8 @@ fn a_slow_motion_is_not_taken_for_an_encoder_off_its_centre() {
 
 #[test]
 fn a_fit_does_not_end_beside_the_best_model() {
-    // Under 2.2 V the arm rarely stands still, so that friction, dead zones and cable can stand in
-    // for each other for a while.
+    // Under 2.2 V the arm is rarely at rest, so that friction, dead zones and cable can replace
+    // each other in the fit.
     let lab = Profile::lab().model();
     let log = simulated(Excitation::new(ExcitationShape::Chirp, -2.2), &lab, &PlantModel::QUBE);
     let found = identify(&[log], &all(), &QubeModel::NOMINAL).unwrap();
@@ -362,7 +364,7 @@ fn a_fit_does_not_end_beside_the_best_model() {
 }
 
 #[test]
-fn held_out_recordings_of_another_qube_are_doubted_and_those_of_the_same_are_not() {
+fn only_held_out_recordings_of_another_qube_raise_a_doubt() {
     let mut longer = truth();
     longer.parameters.pendulum_length_m *= 1.03;
     let identified = identify(&[chirp(&truth(), 1.0, 4.0)], &all(), &QubeModel::NOMINAL).unwrap();
@@ -374,7 +376,7 @@ fn held_out_recordings_of_another_qube_are_doubted_and_those_of_the_same_are_not
         assert_eq!(doubts.contains(&MissingEffect::HeldOut), doubted, "{ratio}: {doubts:?}");
         let verdict = if doubted { ModelVerdict::FitsBut } else { ModelVerdict::Fits };
         assert_eq!(found.assessment.verdict, verdict);
-        // The errors of the estimates grow with what they did not predict.
+        // The standard errors grow by the factor by which the recording contradicts the fit.
         let wider = found.inflation / identified.inflation;
         assert!(if doubted { wider > 2.0 } else { wider < 1.5 }, "{wider}");
         for (estimate, before) in found.estimates.iter().zip(&identified.estimates) {
@@ -403,7 +405,7 @@ fn a_held_out_swing_is_measured_by_the_noise_of_the_chirp_that_was_fitted() {
     let (same, other) =
         (widening(&identified, &falls(&truth())), widening(&identified, &falls(&longer)));
     assert!(same < 1.5 && other > 3.0, "{same} {other}");
-    // The residuals of a slightly longer pendulum are small, but ask for another length.
+    // The residuals of a slightly longer pendulum are small, but contradict the estimated length.
     longer.parameters.pendulum_length_m = truth().parameters.pendulum_length_m * 1.003;
     let mut found = identified.clone();
     let ratio = found.hold_out(&[falls(&longer)]).unwrap();
@@ -414,7 +416,8 @@ fn a_held_out_swing_is_measured_by_the_noise_of_the_chirp_that_was_fitted() {
 
 #[test]
 fn a_held_out_chirp_is_measured_by_the_noise_of_windows_as_short_as_its_own() {
-    // Over whole chirps a motor that warms leaves large residuals, over half seconds small ones.
+    // A motor that warms leaves large residuals over whole chirps, and small residuals over windows
+    // of half a second.
     let logs = [1.0, -1.0].map(|sign| warming_chirp(&truth(), sign, 0.3));
     let identified = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
     let mut longer = truth();
@@ -424,7 +427,7 @@ fn a_held_out_chirp_is_measured_by_the_noise_of_windows_as_short_as_its_own() {
 }
 
 #[test]
-fn a_sign_is_named_only_when_it_is_reversed() {
+fn a_reversed_sign_is_named() {
     let good = chirp(&truth(), 1.0, 4.0);
     for sign in [Sign::Voltage, Sign::Arm, Sign::Pendulum] {
         let mut log = good.clone();
@@ -459,7 +462,7 @@ fn a_pendulum_that_is_shorter_than_its_name_plate_says_is_found() {
 }
 
 #[test]
-fn a_recording_that_no_qube_makes_is_no_silent_fit() {
+fn a_recording_that_no_qube_makes_is_refused() {
     // The voltage has the wrong sign.
     for (sign, seconds) in [(-1.0, 4.0), (1.0, 5.0)] {
         let mut log = chirp(&truth(), sign, seconds);

@@ -13,7 +13,8 @@ const DETERMINED_SHARE: f64 = 0.5;
 /// Smallest entry, in magnitude, that is reported of a direction of length 1.
 const WORTH_NAMING: f64 = 0.25;
 
-/// Smallest number of windows, or of recordings, from which a scatter is computed.
+/// Smallest number of windows, or of recordings, from which the spread of their gradients is
+/// computed.
 const FEWEST_GROUPS: usize = 4;
 
 /// The estimate of one unknown.
@@ -27,13 +28,12 @@ pub struct Estimate {
     /// windows and recordings that contradict each other. The standard error of the cable's rest
     /// angle includes the angle's scatter between recordings.
     pub standard_error: f64,
-    /// Share of the prior variance that the data removed, 0 to 1; near 0, the value is that of the
-    /// prior.
+    /// Share of the prior variance that the data removed, 0 to 1; near 0, the value is the prior's.
     pub variance_removed: f64,
 }
 
 impl Estimate {
-    /// Whether the data rather than the prior determine the value.
+    /// Returns whether the data rather than the prior determine the value.
     #[must_use]
     pub fn is_determined(&self) -> bool {
         self.variance_removed >= DETERMINED_SHARE
@@ -65,8 +65,8 @@ pub(super) struct Uncertainty {
 /// correlations follow.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Evidence {
-    /// Information matrix of the unknowns, in units of prior standard deviations; the prior's own,
-    /// which in these units is the identity, is not part of it.
+    /// Information matrix of the unknowns from the data alone, in units of prior standard
+    /// deviations. The prior's own matrix, which in these units is the identity, is not included.
     information: DMatrix<f64>,
     /// Factor on the standard errors, at least 1, that the information includes.
     inflation: f64,
@@ -119,7 +119,7 @@ impl Evidence {
         let own = DMatrix::from_diagonal(&eigen.eigenvalues.select_rows(&determined));
         let prior = DMatrix::identity(self.information.nrows(), self.information.ncols());
         let Some(mut covariance) = (prior + &self.information).try_inverse() else { return 1.0 };
-        // The cable rests anew after each homing, so that its angle is as uncertain as at first.
+        // The cable's rest angle changes with each homing, so the variance of its prior is added.
         let rest = Unknown::from(Nonideality::CableRest);
         if let Some(place) = held_out.unknowns.iter().position(|unknown| *unknown == rest) {
             covariance[(place, place)] += 1.0;
@@ -211,7 +211,7 @@ fn total(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> Reduce
 }
 
 fn prior_stds(unknowns: &[Unknown], plant: &PlantModel) -> DVector<f64> {
-    DVector::from_iterator(unknowns.len(), unknowns.iter().map(|u| u.prior(plant).std))
+    DVector::from_iterator(unknowns.len(), unknowns.iter().map(|it| it.prior(plant).std))
 }
 
 /// Computes the factor by which the estimates of single windows, or of single recordings, scatter
@@ -232,7 +232,7 @@ fn inflation(fit: &Fit<'_>, reduced: &[Reduced]) -> f64 {
     };
     let windows: Vec<Reduced> = reduced.iter().map(shared).collect();
     let recordings = by_recording(fit, reduced, 1.0);
-    let of = |groups: &[Reduced]| scatter(fit.unknowns, fit.plant, groups);
+    let of = |groups: &[Reduced]| spread(fit.unknowns, fit.plant, groups);
     of(&windows).max(of(&recordings)).max(1.0)
 }
 
@@ -268,8 +268,8 @@ pub(super) fn by_recording(fit: &Fit<'_>, reduced: &[Reduced], inflation: f64) -
 }
 
 /// Root mean square of the groups' gradients in units of the standard deviations that their
-/// information predicts; 1 if there are too few groups.
-fn scatter(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> f64 {
+/// information predicts; 1 if there are too few groups, or they determine no direction.
+fn spread(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> f64 {
     if groups.len() < FEWEST_GROUPS || unknowns.is_empty() {
         return 1.0;
     }
@@ -284,7 +284,7 @@ fn scatter(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> f64 
         squares += groups.iter().map(squared).sum::<f64>() / value;
         directions += 1.0;
     }
-    // The fit itself removes the scatter of one group, for which count / (count - 1) corrects.
+    // The fit itself removes the spread of one group, for which count / (count - 1) corrects.
     let count = groups.len() as f64;
     if directions == 0.0 { 1.0 } else { (squares / directions * count / (count - 1.0)).sqrt() }
 }

@@ -12,7 +12,7 @@ pub struct Unknown(pub Quantity);
 pub struct NormalPrior {
     /// Mean; for parameters, the mean of the logarithm.
     pub mean: f64,
-    /// Standard deviation; for parameters, that of the logarithm.
+    /// Standard deviation; for parameters, the standard deviation of the logarithm.
     pub std: f64,
 }
 
@@ -31,34 +31,32 @@ impl Unknown {
 
     /// The prior of a plant's specimens without any recording: ruler and balance measure lengths to
     /// 3 % and masses to 10 %; published values of resistance and motor constant differ by a third,
-    /// those of viscous friction by a factor of 50 and those of Coulomb friction by as much as the
-    /// motor's torque at 0.3 V. Every nonideality has the mean 0. Coulomb friction and the cable's
-    /// stiffness of another plant than the Qube are expected in the proportion of the two motors'
-    /// torques.
+    /// published values of viscous friction by a factor of 50, and published values of Coulomb
+    /// friction by as much as the motor's torque at 0.3 V. Every nonideality has the mean 0.
+    /// Coulomb friction and the cable's stiffness of another plant than the Qube are expected in
+    /// the proportion of the two motors' torques.
     #[must_use]
     pub fn prior(self, plant: &PlantModel) -> NormalPrior {
-        use DomainParameter as P;
-        use Nonideality as N;
         let (mean, std) = match self.0 {
             Quantity::Parameter(parameter) => (
                 likely(parameter, plant).ln(),
                 match parameter {
-                    P::Gravity => 0.0,
-                    P::RotaryLength | P::PendulumLength => 0.03,
-                    P::RotaryMass | P::PendulumMass => 0.1,
-                    P::MotorResistance | P::MotorBackEmf => 0.35,
-                    P::RotaryDamping | P::PendulumDamping => 2.0,
+                    DomainParameter::Gravity => 0.0,
+                    DomainParameter::RotaryLength | DomainParameter::PendulumLength => 0.03,
+                    DomainParameter::RotaryMass | DomainParameter::PendulumMass => 0.1,
+                    DomainParameter::MotorResistance | DomainParameter::MotorBackEmf => 0.35,
+                    DomainParameter::RotaryDamping | DomainParameter::PendulumDamping => 2.0,
                 },
             ),
             Quantity::Nonideality(term) => (
                 0.0,
                 plant.proportion(self.0)
                     * match term {
-                        N::CoulombTorque => 1.5e-3,
-                        N::PositiveDeadZone | N::NegativeDeadZone => 0.3,
-                        N::CableStiffness => 5e-3,
-                        N::CableRest => 0.5,
-                        N::CommandDelay => 0.02,
+                        Nonideality::CoulombTorque => 1.5e-3,
+                        Nonideality::PositiveDeadZone | Nonideality::NegativeDeadZone => 0.3,
+                        Nonideality::CableStiffness => 5e-3,
+                        Nonideality::CableRest => 0.5,
+                        Nonideality::CommandDelay => 0.02,
                     },
             ),
         };
@@ -80,14 +78,14 @@ impl Unknown {
         model.set(self.0, self.quantity(value));
     }
 
-    /// Whether the unknown is a nonideality that cannot be negative: all but the cable's rest
-    /// angle. It is false for parameters, whose logarithms may be negative.
+    /// Returns whether the unknown is a nonideality that cannot be negative: all but the cable's
+    /// rest angle. It is false for parameters, whose logarithms may be negative.
     #[must_use]
     pub fn is_strength(self) -> bool {
         matches!(self.0, Quantity::Nonideality(term) if term != Nonideality::CableRest)
     }
 
-    /// Sets a parameter that is 0, which no logarithm can move, to its most likely value.
+    /// Sets a parameter to its most likely value if it is not above 0 and so has no logarithm.
     pub(super) fn start(self, model: &mut QubeModel, plant: &PlantModel) {
         if let Quantity::Parameter(parameter) = self.0
             && model.get(self.0) <= 0.0
@@ -109,7 +107,7 @@ impl Unknown {
         if self.is_parameter() { value.exp() * deviation } else { deviation }
     }
 
-    /// Whether the unknown is a domain parameter, which moves by its logarithm.
+    /// Returns whether the unknown is a domain parameter, which moves by its logarithm.
     #[must_use]
     pub fn is_parameter(self) -> bool {
         matches!(self.0, Quantity::Parameter(_))

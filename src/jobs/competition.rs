@@ -15,7 +15,7 @@ pub const CHOSEN_OF_STARTS: usize = 256;
 pub const SUCCEEDED: f64 = 300.0;
 
 /// Share of the simulations, the worst ones, that [`tenth_percentile`] leaves out. A mean over all
-/// simulations would hide that a policy fails on some of the Qubes that the real one may be.
+/// simulations would hide that a policy fails on some of the Qubes that the real Qube may be.
 const WORST: f64 = 0.1;
 
 /// The return that all but the worst tenth of an evaluation's trajectories reach, by which
@@ -30,9 +30,11 @@ pub fn tenth_percentile(evaluation: &Evaluation) -> f64 {
 /// The worth of a training's policy: two [`tenth_percentile`]s in fresh simulations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainingScore {
-    /// In the simulations that decide whether the policy succeeds or another round is needed.
+    /// Tenth percentile in the simulations that decide whether the policy succeeds or another round
+    /// is needed.
     pub scored: f64,
-    /// In the simulations by which policies are compared; often the same ones.
+    /// Tenth percentile in the simulations by which policies are compared; often the same
+    /// simulations.
     pub compared: f64,
 }
 
@@ -51,7 +53,8 @@ impl TrainingScore {
         self.scored >= SUCCEEDED
     }
 
-    /// Whether this policy is kept instead of another: one that succeeds beats one that fails.
+    /// Returns whether this policy is kept instead of another: a policy that succeeds beats a
+    /// policy that fails.
     #[must_use]
     pub fn is_better_than(&self, other: &Self) -> bool {
         (self.succeeds(), self.compared) > (other.succeeds(), other.compared)
@@ -88,7 +91,8 @@ impl<T> Competition<T> {
         first..first + self.trainings
     }
 
-    /// Whether policies compete, so that each needs a score. A single training is kept as it is.
+    /// Returns whether policies compete, so that each needs a score. A single training is kept as
+    /// it is.
     #[must_use]
     pub fn is_contested(&self) -> bool {
         self.trainings > 1
@@ -108,7 +112,7 @@ impl<T> Competition<T> {
     }
 
     /// Takes the best result out once the competition is decided: a round is complete and no other
-    /// one follows. Before that, and afterwards, there is none.
+    /// round follows. Returns `None` before that, and after the result has been taken.
     pub fn take_winner(&mut self) -> Option<T> {
         let is_complete = self.ended.is_multiple_of(self.trainings);
         let is_last = self.ended >= ROUNDS * self.trainings;
@@ -157,7 +161,7 @@ mod tests {
         }
         assert_eq!(rounds, [0..2, 2..4, 4..6]);
         let winner = competition.take_winner();
-        assert_eq!(winner, Some(1), "the second training of the first round");
+        assert_eq!(winner, Some(1), "the second training of the first round wins");
     }
 
     #[test]

@@ -12,7 +12,7 @@ pub enum JobError {
     /// The training failed on this computer, or a stop was requested.
     #[error(transparent)]
     Training(#[from] TrainError),
-    /// The training failed on another computer, and would fail on every other.
+    /// The training failed at a worker, and would fail at every other worker.
     #[error("a training failed on {by}: {reason}")]
     Elsewhere {
         /// Worker that carried it out.
@@ -20,7 +20,7 @@ pub enum JobError {
         /// Reason that it gave.
         reason: String,
     },
-    /// No worker has finished the job.
+    /// The job failed in as many tries as the folder's terms allow.
     #[error(
         "training {job} failed in {tries} tries and is given up: {reasons}. Look at the workers' output, and resume"
     )]
@@ -50,7 +50,7 @@ pub enum JobError {
 }
 
 impl JobError {
-    /// Whether the job ended because a stop was requested.
+    /// Returns whether the job ended because a stop was requested.
     #[must_use]
     pub fn is_stop(&self) -> bool {
         matches!(self, Self::Training(TrainError::Stopped))

@@ -35,14 +35,14 @@ pub trait Executor: Send + Sync {
     /// Carries out all jobs and returns when `on_event` has received one [`JobEvent::Finished`] for
     /// each. Setting `stop` ends the jobs soon, with
     /// [`TrainError::Stopped`](crate::learning::TrainError::Stopped). `on_event` is called on the
-    /// calling thread, in no particular order of the jobs. Callers use [`train_all`], which holds
-    /// an implementation to this.
+    /// calling thread, in no particular order of the jobs. Callers use [`train_all`], which
+    /// enforces the one [`JobEvent::Finished`] for each job for any implementation.
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, on_event: &mut dyn FnMut(JobEvent));
 
     /// Carries out one job; `on_update` is called after each update.
     ///
     /// # Errors
-    /// The training fails or is stopped.
+    /// The training fails or is stopped, or the executor cannot carry it out.
     fn train_one(
         &self,
         job: &TrainingJob,
@@ -62,10 +62,10 @@ pub trait Executor: Send + Sync {
     }
 }
 
-/// Carries out all jobs on an executor, which may be anybody's, and passes on the events that
-/// [`Executor::train`] promises: one [`JobEvent::Finished`] for each job and nothing after it. A
-/// job that the executor does not finish ends with [`JobError::Unreported`]; events of jobs that do
-/// not exist or have ended are dropped.
+/// Carries out all jobs on an executor, which any program may implement, and passes on the events
+/// that [`Executor::train`] promises: one [`JobEvent::Finished`] for each job and nothing after it.
+/// A job that the executor does not finish ends with [`JobError::Unreported`]; events of jobs that
+/// do not exist or have ended are dropped.
 pub fn train_all(
     executor: &dyn Executor,
     jobs: &[TrainingJob],
@@ -101,7 +101,7 @@ mod tests {
     use crate::learning::{TrainError, TrainSettings};
     use crate::simulation::DomainDistribution;
 
-    /// An executor that reports exactly these endings, whatever its jobs are.
+    /// An executor that reports exactly these endings, for any jobs.
     struct Ending(&'static [usize]);
 
     impl Executor for Ending {
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn each_job_ends_once_whatever_the_executor_reports() {
+    fn each_job_ends_once_for_any_reports_of_the_executor() {
         let distribution = DomainDistribution::nominal();
         let job = TrainingJob { distribution, settings: TrainSettings::quick(), seed: 0 };
         let jobs = vec![job; 2];

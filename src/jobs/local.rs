@@ -39,8 +39,8 @@ impl LocalExecutor {
         Self { keeps_to: Some(keeps_to), ..Self::on_cores(keeps_to.count()) }
     }
 
-    /// Sets the checkpoints from which a single job resumes. Several jobs at once write none,
-    /// because they would share the file.
+    /// Sets the checkpoints from which a single job resumes. Several jobs at once write no
+    /// checkpoints, because they would share the file.
     #[must_use]
     pub fn checkpointed(mut self, checkpointing: Option<Checkpointing>) -> Self {
         self.checkpointing = checkpointing;

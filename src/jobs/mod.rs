@@ -4,9 +4,9 @@
 //! policy and learning curve wherever it runs. The command `train`, sessions and experiments hand
 //! jobs to an [`Executor`]; [`LocalExecutor`] trains on this computer's cores, [`FolderExecutor`]
 //! by workers on any computers that share a folder with this one ([`folder`]). Three kinds of
-//! training are no jobs and run where they are asked for: trainings that go on from a network
-//! (`train --from`), trainings of methods that train in a way of their own, and trainings that
-//! Python calls.
+//! training are no jobs and run in the process that requests them: trainings that continue from a
+//! network (`train --from`), trainings by methods with a training of their own, and trainings that
+//! Python starts.
 //!
 //! The room may import `learning`, `simulation`, `storage` and `elementary`.
 //!

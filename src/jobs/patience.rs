@@ -18,7 +18,7 @@ impl Patience {
         Self { longest, failing_since: None }
     }
 
-    /// Whether an operation that has just failed is to be tried again.
+    /// Returns whether an operation that has just failed is to be tried again.
     pub fn lasts(&mut self) -> bool {
         self.failing_since.get_or_insert_with(Instant::now).elapsed() < self.longest
     }

@@ -7,17 +7,17 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 ///
 /// One core, with all its hardware threads, stays free of trainings if there is another core. The
 /// control thread itself is not bound to that core: another user's program may be busy there, and
-/// the kernel finds the idle one.
+/// the kernel finds an idle core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TrainingCores(CpuSet);
 
-/// The lowest priority of ordinary threads: a control thread without real-time rights still comes
+/// The lowest priority of ordinary threads: even a control thread without real-time rights comes
 /// first.
 const LOWEST_PRIORITY: i32 = 19;
 
 impl TrainingCores {
-    /// All processors on which the calling thread may run but those of the last core. If there is
-    /// no other core, only the last processor is left out, unless it is the only one.
+    /// All processors on which the calling thread may run, except the last core's processors. If
+    /// there is no other core, only the last processor is left out, unless it is the only one.
     pub(super) fn beside_control_thread() -> Self {
         let all = Self::of_this_thread().unwrap_or(Self(CpuSet::new()));
         all.without_last_core(siblings)
@@ -47,8 +47,8 @@ impl TrainingCores {
         }
     }
 
-    /// Leaves out the last processor and the others of its core, or the last processor alone if no
-    /// other core is there.
+    /// Leaves out the last processor and the others of its core, or the last processor alone if
+    /// there is no other core.
     fn without_last_core(self, siblings: impl Fn(usize) -> Vec<usize>) -> Self {
         let Some(last) = (0..CpuSet::MAX_CPU).rev().find(|&it| self.0.is_set(it)) else {
             return self;
@@ -92,15 +92,15 @@ mod tests {
     }
 
     #[test]
-    fn the_last_core_is_left_with_all_its_threads() {
+    fn the_last_core_is_left_out_with_all_its_threads() {
         let alone = |_| Vec::new();
         assert_eq!(set(&[0, 1]).without_last_core(alone), set(&[0]));
-        assert_eq!(set(&[0]).without_last_core(alone), set(&[0]), "there is no other");
+        assert_eq!(set(&[0]).without_last_core(alone), set(&[0]), "there is no other processor");
         assert_eq!(set(&[]).without_last_core(alone), set(&[]));
         let pairs = |processor: usize| vec![processor % 4, processor % 4 + 4];
         let eight: Vec<usize> = (0..8).collect();
         assert_eq!(set(&eight).without_last_core(pairs), set(&[0, 1, 2, 4, 5, 6]));
-        // If the process may run on one core only, the core's other hardware thread still trains.
+        // If the process may run on one core only, the core's other hardware thread trains.
         assert_eq!(set(&[3, 7]).without_last_core(pairs), set(&[3]));
         assert_eq!(set(&[0]).count(), 1);
         assert_eq!(set(&[]).count(), 1);

@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fingerprint_follows_what_the_policy_depends_on_and_nothing_else() {
+    fn a_fingerprint_follows_the_settings_that_change_the_policy_and_no_others() {
         let first = job().fingerprint();
         let mut threads = job();
         threads.settings.threads = 2;

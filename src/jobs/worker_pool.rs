@@ -26,12 +26,12 @@ pub(super) struct WorkerPool {
     workers: u32,
     watch: HeartbeatWatch,
     begun: Instant,
-    /// Worker files seen so far, with whether the worker may still live: its file has no ending.
+    /// Worker files seen so far; true while the worker may live, because its file has no ending.
     seen: HashMap<String, bool>,
     /// Time of the last look at the workers' files.
     counted: Option<Instant>,
     /// Number of workers whose files have appeared: heartbeats, and refusals. Of the files that
-    /// were there at the first look, only those of living workers count.
+    /// were there at the first look, only the files of living workers count.
     appeared: u32,
     /// Number of starts in a row after which no worker has appeared.
     starts_without_worker: u32,
@@ -97,8 +97,8 @@ impl WorkerPool {
     /// results so far.
     ///
     /// # Errors
-    /// The folder cannot be read; workers cannot be started or, for [`SCHEDULER_PATIENCE`], not be
-    /// counted; no started worker appears or has a result; or all workers refuse.
+    /// The folder cannot be read; workers cannot be started, or cannot be counted for
+    /// [`SCHEDULER_PATIENCE`]; no started worker appears or has a result; or all workers refuse.
     pub fn start_missing(
         &mut self,
         folder: &JobFolder,
@@ -106,7 +106,7 @@ impl WorkerPool {
         results: u64,
     ) -> Result<(), NoWorkers> {
         if open_jobs == 0 {
-            // Nobody asks the scheduler while there is no work, so it is not silent either.
+            // Without work the pool does not ask the scheduler, so no answer is overdue.
             self.silent.renew();
             return Ok(());
         }
@@ -202,7 +202,8 @@ impl WorkerPool {
     /// Reads the workers' files and returns how many workers live.
     fn count_alive(&mut self, folder: &JobFolder) -> Result<u32, NoWorkers> {
         let (now, looked) = (self.begun.elapsed(), Instant::now());
-        // While no job is open nobody looks, so the time since the last look may be long.
+        // While no job is open, the pool does not look, so the time since the last look may be
+        // long.
         let since_counted = self.counted.map(|counted| counted.elapsed());
         let (mut alive, mut refusal) = (0, None);
         for name in folder.worker_files()? {
@@ -211,8 +212,8 @@ impl WorkerPool {
             }
             if name.ends_with(".refused") {
                 self.seen.insert(name.clone(), false);
-                // A refusal that a worker left under an earlier coordinator says nothing about this
-                // one's workers.
+                // A refusal that a worker left under an earlier coordinator does not concern this
+                // coordinator's workers.
                 if since_counted.is_some() || self.started.is_some() {
                     self.appeared += 1;
                     refusal = folder.refusal(&name);
@@ -247,7 +248,7 @@ impl WorkerPool {
         Ok(alive)
     }
 
-    /// Warns the operator where the clock of a new worker's computer differs from this one's. The
+    /// Warns the operator if the clock of a new worker's computer differs from this computer's. The
     /// worker registered within the time `since_counted`.
     fn compare_clocks(&mut self, state: &HeartbeatState, since_counted: Duration) {
         let Some(holder) = &state.holder else { return };
@@ -277,7 +278,7 @@ impl WorkerPool {
     }
 }
 
-/// The difference that two clocks must have, s, if a worker wrote the time `there` at most
+/// The smallest difference that two clocks can have, s, if a worker wrote the time `there` at most
 /// `since_counted` before the time `here`.
 fn clock_difference_s(there: u64, here: u64, since_counted: Duration) -> u64 {
     let earliest = here.saturating_sub(since_counted.as_secs());
@@ -306,7 +307,7 @@ mod tests {
     use crate::jobs::starter::WorkerCount;
     use crate::storage::MachineDisk;
 
-    /// A scheduler that takes no workers, and says how many it has or does not answer.
+    /// A scheduler that takes no workers. It reports a number of workers or does not answer.
     #[derive(Debug)]
     struct Busy(Option<u32>);
 
@@ -332,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scheduler_that_nobody_asks_is_not_silent() {
+    fn a_scheduler_without_a_query_is_not_silent() {
         let directory = tempfile::tempdir().unwrap();
         let (mut pool, folder) = pool(directory.path(), None);
         assert!(pool.start_missing(&folder, 1, 0).is_ok());
@@ -362,7 +363,7 @@ mod tests {
         assert_eq!(pool.starts_without_worker, 0);
     }
 
-    /// Starts workers that register at once, and keeps their heartbeats.
+    /// A starter whose workers register at once; it keeps their heartbeats.
     #[derive(Debug, Default)]
     struct Prompt(Arc<std::sync::Mutex<Vec<Heartbeat>>>);
 

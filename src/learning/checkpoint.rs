@@ -15,7 +15,7 @@ use super::{TrainError, TrainSettings};
 use crate::storage::{MachineDisk, read_bounded, write_whole};
 
 /// Largest checkpoint that is read, bytes. A training with the thesis's settings writes about 150
-/// kB, one of a million updates 104 MB, nearly all of it the learning curve.
+/// kB, a training of a million updates 104 MB, nearly all of it the learning curve.
 const MAX_FILE_BYTES: u64 = 128 << 20;
 
 /// Version of the checkpoint's content; every change of the content increments it.
@@ -32,7 +32,7 @@ pub struct Checkpointing {
 }
 
 impl Checkpointing {
-    /// Whether a checkpoint is due after this many updates.
+    /// Returns whether a checkpoint is due after this many updates.
     pub(super) fn is_due(&self, updates: usize) -> bool {
         updates.is_multiple_of(self.every.max(1) as usize)
     }
@@ -91,7 +91,7 @@ impl Checkpointing {
 }
 
 /// The properties that two trainings must share for one to resume the other, by the names that
-/// users know.
+/// error messages use.
 fn identity(training: &TrainingState<'_>) -> [(&'static str, String); 4] {
     // The number of threads does not change the result.
     let settings = TrainSettings { threads: 0, ..training.settings.clone() };
@@ -103,8 +103,8 @@ fn identity(training: &TrainingState<'_>) -> [(&'static str, String); 4] {
     ]
 }
 
-/// Replaces the names of settings by the names that checkpoints record. These do not change when a
-/// setting is renamed, so that the settings of an older checkpoint still match.
+/// Replaces the names of settings by the names that checkpoints record. The recorded names do not
+/// change when a setting is renamed, so that the settings of an older checkpoint match.
 fn recorded_names(settings: &str) -> String {
     [("num_envs:", "pendulums:"), ("gae_lambda:", "trace_decay:"), ("target_return:", "enough:")]
         .iter()
@@ -228,7 +228,7 @@ mod tests {
     use crate::simulation::DomainDistribution;
 
     #[test]
-    fn the_checkpoint_of_the_longest_training_is_not_too_large_to_be_read() {
+    fn the_checkpoint_of_the_longest_training_can_be_read() {
         let longest = TrainSettings { updates: 1_000_000, ..TrainSettings::quick() };
         assert!(longest.check().is_ok());
         let distribution = DomainDistribution::nominal();

@@ -20,8 +20,8 @@ use crate::simulation::{DomainDistribution, LaneStatus, Observations, Pendulums,
 /// The transitions of one update, one trajectory after the other, each in order of time.
 pub(super) struct Batch {
     pub transitions: Vec<Transition>,
-    /// Inputs of the networks beyond those of an [`Observation`], at each transition; empty if the
-    /// networks have none.
+    /// Inputs of the networks that an [`Observation`] does not hold, at each transition; empty if
+    /// the networks have none.
     pub extra_inputs: Vec<ExtraInputs>,
     /// Number of trajectories begun.
     pub trajectories: u32,
@@ -29,7 +29,7 @@ pub(super) struct Batch {
     pub ends: Vec<TrajectoryEnd>,
 }
 
-/// Collects the transitions of one update with the current networks.
+/// The collector of the transitions of one update, with the current networks.
 #[derive(Clone)]
 pub(super) struct Collector<'a> {
     pub policy: &'a Network,

@@ -14,7 +14,8 @@ pub struct TrainUpdate {
     /// Mean reward in the batch times 600. The policy explores, and the reward includes the penalty
     /// on voltage changes.
     pub training_return: f64,
-    /// Trajectories in the batch; more than the number of pendulums when some left the safety box.
+    /// Number of trajectories in the batch. It exceeds the number of pendulums if some left the
+    /// safety box.
     pub trajectories: u32,
     /// Approximate KL divergence, the mean over minibatches: (r - 1) - ln r, where r is the ratio
     /// of new to old probability.
@@ -124,7 +125,7 @@ pub fn curve_csv(curve: &[TrainUpdate]) -> String {
 }
 
 /// Largest size of a file with a learning curve, bytes. The file of a long training has some 200
-/// kB, one of a million updates, the most that a training may have, some 110 MB.
+/// kB. The file of a million updates, the largest number that a training may have, has some 110 MB.
 pub const CURVE_BYTES: u64 = 256 << 20;
 
 /// A point of a learning curve that was read from a file.
@@ -153,9 +154,9 @@ pub enum CurveError {
 /// A column is missing, or a line has no number in one of the columns.
 pub fn parse_curve_csv(text: &str) -> Result<Vec<CurvePoint>, CurveError> {
     let mut lines = text.lines();
-    let heads: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
     let column = |name: &'static str| {
-        heads.iter().position(|head| *head == name).ok_or(CurveError::NoColumn(name))
+        names.iter().position(|it| *it == name).ok_or(CurveError::NoColumn(name))
     };
     let columns = [column("steps")?, column("mean_return")?];
     lines
@@ -186,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn the_curve_of_the_longest_training_is_not_too_large_to_be_read() {
+    fn the_curve_of_the_longest_training_is_small_enough_to_be_read() {
         let last = TrainUpdate {
             update: 999_999,
             mean_return: 599.999,
@@ -217,7 +218,7 @@ mod tests {
         let point = |steps, mean_return| CurvePoint { steps, mean_return };
         assert_eq!(parse_curve_csv(&text).unwrap(), [point(9600.0, 0.0), point(19_200.0, 10.0)]);
         assert_eq!(parse_curve_csv("update,steps\n"), Err(CurveError::NoColumn("mean_return")));
-        let torn = text.trim_end().rsplit_once(',').unwrap().0;
-        assert!(matches!(parse_curve_csv(torn), Err(CurveError::NoUpdate(_))));
+        let shortened = text.trim_end().rsplit_once(',').unwrap().0;
+        assert!(matches!(parse_curve_csv(shortened), Err(CurveError::NoUpdate(_))));
     }
 }

@@ -40,7 +40,7 @@ pub enum TrainError {
     #[error("the training distribution cannot be simulated: {0}")]
     Distribution(#[from] DistributionError),
     /// After the first update a weight is not a finite number. A training that diverges later ends
-    /// with the networks of the update before.
+    /// with the networks of the previous update.
     #[error("training diverged in its first update. Give a smaller learning_rate")]
     Diverged,
     /// A network of the result cannot be used as a policy.

@@ -8,8 +8,8 @@ use crate::simulation::{
 /// return needs such an evaluation, from 1000 starts or more.
 ///
 /// # Panics
-/// Panics if the network's number of inputs differs from the length of the simulation's
-/// observation.
+/// Panics as [`evaluate`] does, and if the network's number of inputs differs from the length of
+/// the simulation's observation.
 #[must_use]
 pub fn evaluate_on_new_starts(
     network: &Network,

@@ -1,6 +1,7 @@
 use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE};
 
-/// Neurons of each hidden layer, and samples of a full block (a minibatch is one).
+/// Number of neurons of each hidden layer, and of samples in a full block; a minibatch is a full
+/// block.
 pub(super) const WIDTH: usize = 64;
 
 /// Length of the longest observation.
@@ -19,7 +20,7 @@ const ROW_GROUP: usize = 4;
 pub(super) const MAX_INPUTS: usize =
     (1 + MAX_OBSERVATION_SIZE + MAX_PHYSICS_INPUTS).next_multiple_of(ROW_GROUP);
 
-/// Samples of a narrow block, for pendulums that do not fill a block of 64.
+/// Number of samples in a narrow block, for pendulums that do not fill a block of 64.
 pub(super) const NARROW: usize = 16;
 
 /// A row across neurons or across the samples of a minibatch.
@@ -63,7 +64,7 @@ pub(super) const OUTPUT_BIAS: usize = 0;
 pub(super) const LOG_STD: usize = 1;
 
 impl Network {
-    /// Whether every parameter is a finite number.
+    /// Returns whether every parameter is a finite number.
     pub fn is_finite(&self) -> bool {
         let rows = self.first.iter().chain(&self.second);
         let mut values = rows.chain([&self.second_bias, &self.last, &self.tail]).flatten();

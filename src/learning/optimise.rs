@@ -61,8 +61,8 @@ pub(super) struct PolicyProgress {
 }
 
 /// The order of transitions in the minibatches of one update: one permutation of their indices for
-/// each epoch. It is drawn when the epoch begins, because the permutations of all epochs together
-/// may need gigabytes.
+/// each epoch. Each permutation is drawn when its epoch begins, because the permutations of all
+/// epochs together may need gigabytes.
 ///
 /// The iterator yields the indices of each minibatch. A minibatch may begin in one epoch and end in
 /// the next; the last indices are left out if they do not fill a minibatch.
@@ -141,7 +141,7 @@ fn for_each_minibatch(
     }
 }
 
-/// Improves the policy by PPO's clipped objective, one minibatch at a time.
+/// An improvement of the policy by PPO's clipped objective, one minibatch at a time.
 pub(super) struct PolicyImprovement<'a> {
     policy: &'a mut Learner,
     head: PolicyHead,
@@ -191,7 +191,7 @@ impl<'a> PolicyImprovement<'a> {
     }
 }
 
-/// Fits the value network to the returns, one minibatch at a time.
+/// A fit of the value network to the returns, one minibatch at a time.
 pub(super) struct ValueFit<'a> {
     value: &'a mut Learner,
     settings: StepSettings,
@@ -308,10 +308,14 @@ mod tests {
 
     #[test]
     fn an_epoch_that_is_drawn_when_it_begins_has_the_order_of_one_drawn_at_once() {
-        // Some numbers of transitions fill whole minibatches, others do not or not even one.
+        // Some of these numbers of transitions fill whole minibatches, some do not, and some do not
+        // even fill one.
         for (transitions, epochs) in [(640, 3), (601, 5), (65, 2), (7, 40), (1, 130), (0, 4)] {
             let order: Vec<_> = Order::new(transitions, epochs, 5, 2).collect();
-            assert!(order == drawn_at_once(transitions, epochs, 5, 2), "{transitions} {epochs}");
+            assert!(
+                order == drawn_at_once(transitions, epochs, 5, 2),
+                "{transitions} transitions, {epochs} epochs"
+            );
         }
     }
 

@@ -56,9 +56,9 @@ impl Preset {
         }
     }
 
-    /// The preset that equals these settings in everything but the simulation, otherwise
-    /// [`Self::Custom`]. The simulation may differ, because a policy's file records the sensors
-    /// beside the preset.
+    /// The preset that equals these settings in everything but the simulation and the number of
+    /// threads; [`Self::Custom`] if there is none. The simulation may differ, because a policy's
+    /// file records the sensors beside the preset.
     #[must_use]
     pub fn of(settings: &TrainSettings) -> Self {
         let has_its_budget = |preset: &Self| {
@@ -77,7 +77,7 @@ mod tests {
     use crate::simulation::SimulationSettings;
 
     #[test]
-    fn a_preset_is_that_of_its_settings_in_any_simulation() {
+    fn settings_keep_their_preset_in_any_simulation() {
         for preset in Preset::NAMED {
             let settings = preset.settings_or(TrainSettings::default());
             assert_eq!(Preset::of(&settings), preset);

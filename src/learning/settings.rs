@@ -19,7 +19,7 @@ pub struct TrainSettings {
     /// least as many trajectories. A multiple of 16, at most 4096.
     #[serde(alias = "pendulums")]
     pub num_envs: u16,
-    /// Passes over the transitions of an update.
+    /// Number of passes over the transitions of an update.
     pub epochs: u32,
     /// Adam's learning rate in the first update.
     pub learning_rate: f32,
@@ -44,9 +44,10 @@ pub struct TrainSettings {
     pub adam_beta_1: f32,
     /// Adam's decay of the second moment.
     pub adam_beta_2: f32,
-    /// Adam's epsilon; its square is added to the second moment under the square root.
+    /// Adam's epsilon; its square is added to the second moment under the square root, unless
+    /// `adam_epsilon_beside_root` is set.
     pub adam_epsilon: f32,
-    /// Whether epsilon is added to the square root instead, as in the paper (Kingma and Ba 2015).
+    /// True if epsilon is added to the square root, as in the paper (Kingma and Ba 2015).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub adam_epsilon_beside_root: bool,
     /// Initial logarithm of the policy's standard deviation, in units of the network's output.
@@ -65,9 +66,9 @@ pub struct TrainSettings {
     /// Mean return of the best network at which training ends early; `None` takes all updates.
     #[serde(alias = "enough")]
     pub target_return: Option<f64>,
-    /// Part of an update's trajectories that the networks learn from, 0.01 to 1: those with the
-    /// lowest returns (epsilon of EPOpt, Rajeswaran et al. 2017). It acts in the second half of the
-    /// updates; 1 takes all trajectories.
+    /// Share of an update's trajectories that the networks learn from, 0.01 to 1: the trajectories
+    /// with the lowest returns (epsilon of EPOpt, Rajeswaran et al. 2017). It acts in the second
+    /// half of the updates; 1 takes all trajectories.
     #[serde(skip_serializing_if = "is_one")]
     pub worst_share: f32,
     /// Sensors, observation, reward, safety box and plant of the simulation.
@@ -186,16 +187,16 @@ impl TrainSettings {
         }
     }
 
-    /// The weight of a change of voltage in an update. It grows linearly over the first half of the
-    /// updates, so that the policy learns to balance before it learns to be quiet.
+    /// The weight of a change of voltage in an update, 1/V^2. It grows linearly over the first half
+    /// of the updates, so that the policy learns to balance before it learns to be quiet.
     #[must_use]
     pub fn voltage_change_weight_at(&self, update: u32) -> f32 {
         let grown = 2.0 * update as f32 / self.updates.max(1) as f32;
         self.voltage_change_weight * grown.min(1.0)
     }
 
-    /// The part of an update's trajectories that the networks learn from. In the first half of the
-    /// updates the part is 1, because all trajectories of a policy that cannot swing up yet are
+    /// The share of an update's trajectories that the networks learn from. In the first half of the
+    /// updates the share is 1, because all trajectories of a policy that cannot swing up yet are
     /// bad.
     #[must_use]
     pub fn worst_share_at(&self, update: u32) -> f32 {

@@ -1,8 +1,8 @@
 use crate::elementary::exp;
 use crate::qube::limited_to;
 
-/// Computes the factor exp(-weight dV^2) on a step's reward for the change of voltage dV since the
-/// step before.
+/// The factor exp(-weight dV^2) on a step's reward for the change of voltage dV since the step
+/// before.
 ///
 /// The penalty is a factor rather than a cost: a swing-up, which earns nearly nothing, loses nearly
 /// nothing by a voltage that jumps, and no step becomes worse than leaving the box.
@@ -20,7 +20,7 @@ impl SmoothnessFactor {
         Self { last_v: 0.0, largest_v }
     }
 
-    /// Returns the factor of the next step of a trajectory, in (0, 1]. `voltage_v` is the step's
+    /// Returns the factor of the next step of a trajectory, 0 to 1. `voltage_v` is the step's
     /// voltage, V, and `weight` is in 1/V^2.
     pub fn factor(&mut self, voltage_v: f32, weight: f32) -> f32 {
         let voltage_v = limited_to(voltage_v, self.largest_v);

@@ -6,7 +6,7 @@ use crate::simulation::DomainDistribution;
 
 /// A training in stages, between which its distribution of simulations may change.
 ///
-/// The stages share one learner: networks, Adam's moments, the schedules of the settings and the
+/// The stages are one training: networks, Adam's moments, the schedules of the settings and the
 /// random numbers go on where the stage before left them. So a training whose stages all have one
 /// distribution performs the updates of [`train`](super::train()). The stages divide the settings'
 /// updates evenly; the target return of the settings is not used.
@@ -28,14 +28,13 @@ impl<'a> StagedTraining<'a> {
         Ok(Self { training, stages: stages.max(1), completed: 0 })
     }
 
-    /// Trains for one more stage, in simulations drawn from `distribution`. The best network and
-    /// the final network of the result are those of this stage, its curve that of the whole
-    /// training.
+    /// Trains for one more stage, in simulations drawn from `distribution`. The result has the best
+    /// network and the final network of this stage, and the curve of the whole training.
     ///
     /// # Errors
     /// The distribution is out of range; `stop` was set; or the first update of the training
-    /// diverged. A later update that diverges ends the stage with what is learnt until then, and
-    /// the next stage goes on from there.
+    /// diverged. A later update that diverges ends the stage with the networks of the previous
+    /// update, and the next stage goes on from these.
     pub fn train_stage(
         &mut self,
         distribution: DomainDistribution,

@@ -55,7 +55,7 @@ impl<'a> TrainingState<'a> {
         }
     }
 
-    /// Whether the training has reached its last update or its target return.
+    /// Returns whether the training has reached its last update or its target return.
     pub fn is_finished(&self) -> bool {
         self.curve.len() >= self.settings.updates as usize
             || self.settings.target_return.is_some_and(|target| self.best_return >= target)

@@ -128,8 +128,8 @@ fn settings_out_of_range_are_named() {
     assert_eq!(refused(TrainSettings { clip: 0.0, ..small() }), "clip");
     assert_eq!(refused(TrainSettings { evaluation_starts: 0, ..small() }), "evaluation_starts");
     let voltage_change_weight = f32::NAN;
-    let weight_of_nothing = TrainSettings { voltage_change_weight, ..small() };
-    assert_eq!(refused(weight_of_nothing), "voltage_change_weight");
+    let weight_not_a_number = TrainSettings { voltage_change_weight, ..small() };
+    assert_eq!(refused(weight_not_a_number), "voltage_change_weight");
     assert_eq!(refused(TrainSettings { threads: 0, ..small() }), "threads");
     let simulation = SimulationSettings { history: 5, ..small().simulation };
     assert_eq!(refused(TrainSettings { simulation, ..small() }), "history");
@@ -176,7 +176,7 @@ fn the_quick_preset_learns_to_swing_up_and_balance() {
     let trained = train(&distribution, &settings, 0, None, &stop, |_| {}).unwrap();
     assert!(trained.best_return >= 540.0, "best return {}", trained.best_return);
     assert!(trained.curve.len() <= 40, "{} updates", trained.curve.len());
-    assert!(trained.curve[0].mean_return < 100.0, "there was nothing to learn");
+    assert!(trained.curve[0].mean_return < 100.0, "the first update already swings up");
 }
 
 #[test]
@@ -185,8 +185,8 @@ fn a_training_from_a_policy_begins_with_it_and_never_ends_below_it() {
     let distribution = DomainDistribution::nominal();
     let settings = TrainSettings { updates: 25, ..TrainSettings::quick() };
     let first = train(&distribution, &settings, 3, None, &never, |_| {}).unwrap();
-    // An update with a learning rate of 0 leaves the weights as they are, so its evaluation is that
-    // of the given policy.
+    // An update with a learning rate of 0 leaves the weights as they are, so it evaluates the given
+    // policy.
     let still = TrainSettings {
         updates: 1,
         learning_rate: 0.0,
@@ -224,7 +224,7 @@ fn stages_of_one_distribution_are_one_training() {
 }
 
 #[test]
-fn a_training_that_diverges_keeps_what_it_has_learnt_until_then() {
+fn a_training_that_diverges_keeps_the_networks_of_the_previous_update() {
     let (distribution, settings) = (DomainDistribution::nominal(), small());
     let stop = AtomicBool::new(false);
     let mut training = state::TrainingState::new(&distribution, &settings, None, 3);

@@ -31,7 +31,7 @@ const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 /// # Errors
 /// A setting or the distribution is out of range; `stop` was set; a checkpoint cannot be read or
 /// written, is damaged or belongs to another training; or the first update diverged. A training
-/// that diverges later ends early, with what it has learnt until then.
+/// that diverges later ends early, with the networks of the previous update.
 pub fn train(
     distribution: &DomainDistribution,
     settings: &TrainSettings,
@@ -113,7 +113,7 @@ pub(super) struct Scored {
 }
 
 impl TrainingState<'_> {
-    /// Performs one update of Algorithm 1 (Eilers 2019): collect, optimise, evaluate. Returns
+    /// Performs one update of Algorithm 1 (Eilers 2019): collects, optimises, evaluates. Returns
     /// `None` if the update diverged: both networks and their moments are then as before it, and
     /// the training or its stage ends.
     pub fn update(&mut self, stop: &AtomicBool) -> Result<Option<&TrainUpdate>, TrainError> {
@@ -206,8 +206,8 @@ impl TrainingState<'_> {
         Scored { evaluation, score }
     }
 
-    /// The policy without exploration; its physics inputs are those of the Qubes of the first
-    /// `starts` fixed starts.
+    /// The policy without exploration; its physics inputs come from the Qubes of the first `starts`
+    /// fixed starts.
     fn actor(&self, starts: usize) -> NetworkActor<'_> {
         let lanes = starts.next_multiple_of(LANES_MULTIPLE);
         let mut physics_inputs = vec![0.0; self.physics.map_or(0, |physics| physics.count) * lanes];
@@ -234,7 +234,7 @@ impl TrainingState<'_> {
         self.best = self.policy.network.clone();
     }
 
-    /// The result of the training until now.
+    /// The result of the training so far.
     ///
     /// # Errors
     /// The weights of the best or of the last network are not finite numbers.

@@ -32,17 +32,17 @@ impl Trained {
         let views = tensors.iter().map(|(name, dtype, bytes)| {
             let count = bytes.len() * 8 / dtype.bitsize();
             let view = TensorView::new(*dtype, vec![count], bytes);
-            (*name, view.expect("a tensor of as many numbers as its bytes hold"))
+            (*name, view.expect("the shape of each tensor fits its bytes"))
         });
-        safetensors::serialize(views, None).expect("tensors with names of their own")
+        safetensors::serialize(views, None).expect("the tensors have different names")
     }
 
     /// Restores a result from the bytes that [`Self::to_bytes`] made. The caller passes the
     /// distribution, the settings and the seed of the training, which the bytes do not contain.
     ///
     /// # Errors
-    /// The bytes are not safetensors, a tensor is missing or of another type, or the numbers form
-    /// no network.
+    /// The bytes are not safetensors, a tensor is missing or of another type, the returns are not
+    /// two numbers, or the numbers form no network.
     pub fn from_bytes(
         bytes: &[u8],
         distribution: &DomainDistribution,

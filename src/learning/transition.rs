@@ -4,9 +4,9 @@ use super::network::{Inputs, MAX_INPUTS, MAX_OBSERVATION_SIZE, MAX_PHYSICS_INPUT
 /// The first inputs of a network; entries beyond the network's number of inputs are zero.
 pub(super) type Observation = [f32; MAX_OBSERVATION_SIZE];
 
-/// The inputs that follow those of an [`Observation`]. Only networks with more than
-/// [`MAX_OBSERVATION_SIZE`] inputs have them. They are stored beside the transitions, so that a
-/// transition fits into one cache line.
+/// The inputs that follow an [`Observation`]. Only networks with more than [`MAX_OBSERVATION_SIZE`]
+/// inputs have them. They are stored beside the transitions, so that a transition fits into one
+/// cache line.
 pub(super) type ExtraInputs = [f32; MAX_PHYSICS_INPUTS];
 
 /// One step of one simulated pendulum. It fills one cache line, because minibatches pick
@@ -36,7 +36,7 @@ const _: () = assert!(size_of::<Transition>() == 64);
 pub(super) struct TrajectoryEnd {
     /// Index of the trajectory's last transition.
     pub last: usize,
-    /// Whether the trajectory left the safety box; if not, the time limit or the end of the batch
+    /// True if the trajectory left the safety box; if not, the time limit or the end of the batch
     /// ended it.
     pub left_box: bool,
     /// Value of the state after the end: 0 where the trajectory left the safety box, otherwise the
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn a_minibatch_holds_the_transitions_asked_for() {
+    fn a_minibatch_holds_the_transitions_at_its_indices() {
         let transitions: Vec<Transition> = (0..100)
             .map(|i| {
                 let base = 20.0 * i as f32;

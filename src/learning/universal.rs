@@ -63,7 +63,7 @@ impl UniversalPolicy {
 
     /// The ordinary policy at these physics inputs: `[count]`, in the order of
     /// [`PhysicsInputs::of`]. Missing inputs count as 0, and inputs beyond `count` are ignored. Its
-    /// returns and its curve are those of the training, in which the network had the inputs of each
+    /// returns and its curve come from the training, in which the network had the inputs of each
     /// simulated Qube.
     ///
     /// # Errors
@@ -78,8 +78,8 @@ impl UniversalPolicy {
     }
 }
 
-/// Returns a network without physics inputs that computes what `network` computes with these
-/// physics inputs; missing inputs count as 0.
+/// Returns a network without physics inputs that gives the outputs of `network` at these physics
+/// inputs; missing inputs count as 0.
 fn at_fixed(network: &Network, observation_size: usize, physics: &[f32]) -> Network {
     let mut fixed = network.clone();
     fixed.observation_size = observation_size;
@@ -131,12 +131,12 @@ mod tests {
             let without_physics = at_fixed(&network, OBSERVATION.len(), &[]);
             assert!(
                 (output(&without_physics, &OBSERVATION) - with_physics).abs() > 1e-3,
-                "the inputs matter"
+                "the physics inputs do not change the output"
             );
         }
     }
 
-    /// Two Qubes, told apart by the mass of the pendulum.
+    /// Two Qubes that differ in the mass of the pendulum.
     fn two_qubes() -> DomainDistribution {
         let [mut light, mut heavy] = [QubeModel::NOMINAL; 2];
         let mass = crate::qube::Quantity::Parameter(DomainParameter::PendulumMass);
@@ -157,8 +157,8 @@ mod tests {
     }
 
     #[test]
-    fn a_universal_policy_does_another_thing_in_another_qube_and_repeats() {
-        // Few inputs fit beside the observation of a transition, many do not.
+    fn a_universal_policy_depends_on_the_qube_and_not_on_the_number_of_threads() {
+        // One input fits beside the observation of a transition, 14 do not.
         for count in [1, 14] {
             let (one, two) = (trained(1, count).unwrap(), trained(2, count).unwrap());
             let of = |policy: &UniversalPolicy, input: f32| {

@@ -5,9 +5,9 @@ use crate::qube::MAX_STEPS;
 /// Selects the transitions of the trajectories with the lowest returns: `share` of a batch's
 /// trajectories, rounded up (EPOpt's percentile, Rajeswaran et al. 2017, algorithm 1).
 ///
-/// Trajectories are compared by their reward a step: over the steps taken if the trajectory was cut
-/// short, because it would have gone on earning; over the 600 steps of a whole rollout if it left
-/// the box, because it then earns nothing more.
+/// Trajectories are compared by their mean reward a step. A trajectory that was cut short would
+/// have gone on earning, so its mean is over the steps taken. A trajectory that left the box earns
+/// nothing more, so its mean is over the 600 steps of a whole trajectory.
 pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
     let mut first = 0;
     let mut trajectories: Vec<(f64, usize, TrajectoryEnd)> = Vec::with_capacity(batch.ends.len());

@@ -12,8 +12,9 @@ use super::request::{BadRequest, Request};
 /// computers together.
 pub(super) const MAX_CONNECTIONS: usize = 24;
 
-/// Largest number of those connections that may be viewers, which stay. The others are for requests
-/// that end soon, so that a stop gets through beside all viewers.
+/// Largest number of those connections that may be viewers, whose connections stay open. The other
+/// connections are for requests that end soon, so that a stop arrives even if all places for
+/// viewers are taken.
 pub(super) const MAX_VIEWERS: usize = 16;
 
 /// The state of the view that all connections share.
@@ -22,7 +23,7 @@ pub(super) struct Shared {
     pub(super) admission: Admission,
     /// Token with which clients of other computers may stop.
     pub(super) token: String,
-    /// Random text by which the page tells this view from another one at the same address.
+    /// Random text by which the page distinguishes this view from another one at the same address.
     pub(super) server: String,
     /// Requests a stop for the client at this address.
     pub(super) stop: Box<dyn Fn(SocketAddr) + Send + Sync>,
@@ -36,7 +37,7 @@ pub(super) struct Shared {
 pub(super) struct Slot(Arc<Shared>, usize);
 
 impl Slot {
-    /// A place for a client; `None` where all are taken. Clients on other computers cannot take the
+    /// A place for a client; `None` if all are taken. Clients on other computers cannot take the
     /// places for this computer.
     pub(super) fn take(shared: &Arc<Shared>, peer: SocketAddr) -> Option<Self> {
         let side = usize::from(!is_of_this_computer(peer));
@@ -45,7 +46,7 @@ impl Slot {
         (open < MAX_CONNECTIONS).then_some(slot)
     }
 
-    /// A place among the viewers; `None` where all are taken.
+    /// A place among the viewers; `None` if all are taken.
     fn viewer(&self) -> Option<ViewerPlace<'_>> {
         let viewers = &self.0.viewers[self.1];
         let before = viewers.fetch_add(1, Ordering::Relaxed);
@@ -74,8 +75,8 @@ fn is_of_this_computer(peer: SocketAddr) -> bool {
 }
 
 /// Serves one client: answers one request, or sends the feed until the client goes or the view
-/// closes. A viewer for whom there is no place gets no answer: a browser then tries again, as it
-/// would not after a refusal.
+/// closes. A viewer for whom there is no place gets no answer, because a browser tries again after
+/// a closed connection but not after a refusal.
 pub(super) fn serve(slot: &Slot, mut stream: TcpStream, peer: SocketAddr) {
     let shared = &slot.0;
     if stream.set_write_timeout(Some(STUCK_WITHIN)).is_err() || stream.set_nodelay(true).is_err() {
@@ -135,7 +136,7 @@ fn stop(shared: &Shared, request: &Request, peer: SocketAddr) -> Answer {
     Answer::text("200 OK", "stopping: the arm is braked and the state is kept\n")
 }
 
-/// Compares two secrets; for a given length the time does not depend on where they differ.
+/// Compares two secrets. For a given length, the time does not depend on the place of a difference.
 fn is_equal(one: &str, other: &str) -> bool {
     one.len() == other.len()
         && one.bytes().zip(other.bytes()).fold(0, |all, (a, b)| all | (a ^ b)) == 0

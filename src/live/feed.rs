@@ -22,7 +22,7 @@ const TICKS_AT_ONCE: usize = 128;
 /// Time for which the start or the end of a rollout may wait for room in the queue. Only the
 /// recorder's thread waits, not the control thread: the ring between them has room for the longest
 /// rollout.
-const PATIENCE: Duration = Duration::from_millis(50);
+const LONGEST_WAIT: Duration = Duration::from_millis(50);
 
 /// A message from the recorder's thread to the view's thread.
 enum Event {
@@ -41,9 +41,9 @@ pub(super) struct FeedSender {
 impl Viewer for FeedSender {
     fn begins(&self, header: &RolloutHeader, time_ns: u64) {
         let event = Event::Begins(Box::new(header.clone()), time_ns);
-        // If this event is lost, the view shows the next ticks as those of the rollout before, or
+        // If this event is lost, the view shows the next ticks as ticks of the previous rollout, or
         // not at all if there was none; nothing else depends on the event.
-        let _ = self.events.send_timeout(event, PATIENCE);
+        let _ = self.events.send_timeout(event, LONGEST_WAIT);
     }
 
     fn ticked(&self, tick: &TickRecord) {
@@ -54,7 +54,7 @@ impl Viewer for FeedSender {
 
     fn ended(&self, outcome: Option<&RolloutOutcome>) {
         let event = Event::Ended(outcome.cloned().map(Box::new));
-        let _ = self.events.send_timeout(event, PATIENCE);
+        let _ = self.events.send_timeout(event, LONGEST_WAIT);
     }
 }
 
@@ -102,7 +102,7 @@ pub(super) struct TickShown {
     /// Time since the rollout's first tick (s), theta (rad), alpha (rad), voltage (V), phase,
     /// number of the rollout.
     pub(super) point: [f64; 6],
-    /// Messages for Foxglove; empty while nobody listens.
+    /// Messages for Foxglove; empty while no connection needs them.
     pub(super) messages: Vec<(Channel, Vec<u8>)>,
 }
 
@@ -145,9 +145,9 @@ pub(super) struct Changes {
 #[derive(Debug, Default)]
 pub(super) struct Feed {
     shown: Mutex<Shown>,
-    /// Number of connections that want encoded messages.
+    /// Number of connections that need encoded messages.
     pub(super) listeners: AtomicUsize,
-    /// Whether the view is closing.
+    /// True once the view is closing.
     pub(super) closed: AtomicBool,
     /// Number of ticks for which the queue had no room.
     pub(super) lost: Arc<AtomicU64>,

@@ -27,8 +27,8 @@ use crate::recording::Channel;
 /// Time after which a client that takes no bytes counts as gone.
 pub(super) const STUCK_WITHIN: Duration = Duration::from_secs(5);
 
-/// Names of the protocol: the one that Foxglove's SDK uses, and the older one that Lichtblick and
-/// others use. The part of the protocol that is used here is the same under both names.
+/// Names of the protocol: Foxglove's SDK uses the first, Lichtblick and others use the second,
+/// which is older. The part of the protocol that is used here is the same under both names.
 const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 
 /// Largest message of a client, bytes. A subscription to every channel has some hundred bytes.
@@ -44,7 +44,7 @@ const INTERVAL: Duration = Duration::from_millis(33);
 /// Largest number of messages of a client in a second; a client that sends more is cut off.
 pub(super) const MAX_MESSAGES_A_SECOND: u32 = 100;
 
-/// Id of the channel with the [`LiveStatus`] of the command; the lower ids, from 1, are those of a
+/// Id of the channel with the [`LiveStatus`] of the command; the lower ids, from 1, belong to a
 /// recording's channels.
 const SESSION_CHANNEL: u64 = Channel::ALL.len() as u64 + 1;
 
@@ -72,7 +72,8 @@ struct Subscription {
     channel_id: u64,
 }
 
-/// Counts a connection, while this value lives, among those that want encoded messages.
+/// An entry in the count of connections that need encoded messages, for as long as this value
+/// exists.
 struct Listening<'a>(&'a AtomicUsize);
 
 impl<'a> Listening<'a> {
@@ -88,7 +89,7 @@ impl Drop for Listening<'_> {
     }
 }
 
-/// Answers a client that asks for a WebSocket, and serves it until it goes, breaks a limit, or the
+/// Answers a client that requests a WebSocket, and serves it until it goes, breaks a limit, or the
 /// view closes.
 pub(super) fn serve(feed: &Feed, mut stream: TcpStream, request: &Request, rest: Vec<u8>) {
     let offered = request.header("sec-websocket-protocol").unwrap_or_default();
@@ -115,12 +116,12 @@ pub(super) fn serve(feed: &Feed, mut stream: TcpStream, request: &Request, rest:
     let mut client = Client {
         socket,
         subscriptions: HashMap::new(),
-        wants: Vec::new(),
+        new_channels: Vec::new(),
         stuck_since: None,
         second: Instant::now(),
         messages: 0,
     };
-    // An error of this client must not end anything but its connection.
+    // An error of this client ends only its own connection.
     if let Err(error) = client.follow(feed) {
         tracing::debug!("a live viewer is gone: {error}");
     }
@@ -139,9 +140,9 @@ struct Client {
     socket: WebSocket<TcpStream>,
     /// Id of the subscription by the id of its channel.
     subscriptions: HashMap<u64, u32>,
-    /// Ids of channels that the client has just subscribed to, whose lasting message it has yet to
-    /// be sent.
-    wants: Vec<u64>,
+    /// Ids of channels that the client has just subscribed to and whose lasting message has not
+    /// been sent.
+    new_channels: Vec<u64>,
     /// Time since which the client has taken no bytes; `None` while it takes them.
     stuck_since: Option<Instant>,
     /// Beginning of the second in which `messages` are counted.
@@ -182,7 +183,7 @@ impl Client {
                     break;
                 }
             }
-            for channel in std::mem::take(&mut self.wants) {
+            for channel in std::mem::take(&mut self.new_channels) {
                 self.send_lasting(channel, &lasting)?;
             }
         }
@@ -237,7 +238,7 @@ impl Client {
 
     fn put(&mut self, message: Message) -> Result<(), Error> {
         match self.socket.write(message) {
-            // There is no room for this message, so it is lost.
+            // The buffer has no room for this message, so the message is lost.
             Err(Error::WriteBufferFull(_)) => Ok(()),
             other => self.passed(other),
         }
@@ -288,7 +289,7 @@ impl Client {
                 for Subscription { id, channel_id } in subscriptions {
                     if (1..=SESSION_CHANNEL).contains(&channel_id) {
                         self.subscriptions.insert(channel_id, id);
-                        self.wants.push(channel_id);
+                        self.new_channels.push(channel_id);
                     }
                 }
             }
@@ -377,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_bytes_wait_for_a_slow_client_than_the_limit_says() {
+    fn the_bytes_that_wait_for_a_slow_client_stay_within_the_limit() {
         let mut socket = WebSocket::from_raw_socket(Stuck, Role::Server, Some(limits()));
         let message = vec![0; 1000];
         let mut waiting = 0;

@@ -5,10 +5,11 @@
 //! page. The page's only command is to stop; a client can change nothing else.
 //!
 //! The recorder's thread hands each record to a bounded queue, or drops the record if the queue is
-//! full. The view's thread encodes the records of the queue into a ring, and the thread of each
-//! connection sends from the ring as much as its client takes. A client that reads slowly, or not
-//! at all, loses messages and delays nobody. The view refuses requests that name this computer by a
-//! foreign name, come from foreign web pages, exceed small sizes or take more than a few seconds.
+//! full; it drops the start and the end of a rollout only after 50 ms without room. The view's
+//! thread encodes the records of the queue into a ring, and the thread of each connection sends
+//! from the ring as much as its client takes. A client that reads slowly, or not at all, loses
+//! messages and delays nobody. The view refuses requests that name this computer by a foreign name,
+//! come from foreign web pages, exceed small sizes or take more than a few seconds.
 //!
 //! The room may import `recording` and `telemetry`.
 

@@ -8,7 +8,7 @@ use super::request::Request;
 /// of its own (DNS rebinding). A browser sends the name under which it connects in the header
 /// `Host`, and the site of the page that connects in `Origin`, so both are checked. For the images
 /// and links of a page it sends no `Origin`, but says in `Sec-Fetch-Site` whether the page is of
-/// another site. Programs that are no browser send neither `Origin` nor `Sec-Fetch-Site`.
+/// another site. Programs without a browser's engine send neither `Origin` nor `Sec-Fetch-Site`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Admission {
     /// Name of this computer.
@@ -36,7 +36,7 @@ impl Admission {
         if !request.has("origin") {
             let is_foreign = request.header("sec-fetch-site") == Some("cross-site");
             // A link to the view's own page may be anywhere, such as in an e-mail or a terminal in
-            // the browser; following it holds no connection.
+            // the browser; following the link keeps no connection open.
             let is_link = request.header("sec-fetch-mode") == Some("navigate")
                 && request.path == "/"
                 && !request.is_upgrade();
@@ -56,7 +56,8 @@ impl Admission {
         if is_allowed { Ok(()) } else { Err(Refusal::Origin) }
     }
 
-    /// Whether a request comes from the view's own page or from a program that is no browser.
+    /// Returns whether a request comes from the view's own page or from a program that is no
+    /// browser.
     pub(super) fn is_own_page(request: &Request) -> bool {
         match (request.has("origin"), request.header("origin"), request.header("host")) {
             (false, _, _) => true,
@@ -148,7 +149,11 @@ mod tests {
         {
             assert_eq!(check(host, Some(origin), true), Ok(()), "{origin}");
         }
-        assert_eq!(check(host, Some("file://"), true), Ok(()), "a viewer on the desk");
+        assert_eq!(
+            check(host, Some("file://"), true),
+            Ok(()),
+            "a viewer outside of the browser is refused"
+        );
         assert_eq!(check(host, Some("file://"), false), Err(Refusal::Origin));
         assert_eq!(check("192.168.1.7:80", Some("http://192.168.1.7:80"), false), Ok(()));
         assert_eq!(
@@ -178,10 +183,14 @@ mod tests {
         assert_eq!(
             asked("/", &format!("{link}Upgrade: websocket\r\n")),
             Err(Refusal::Origin),
-            "a page cannot follow a link by a WebSocket"
+            "a page follows a link by a WebSocket"
         );
         let allowed = format!("{foreign}Origin: http://localhost:8080\r\n");
-        assert_eq!(asked("/events", &allowed), Ok(()), "a page of a server on this computer");
+        assert_eq!(
+            asked("/events", &allowed),
+            Ok(()),
+            "a page of a server on this computer is refused"
+        );
     }
 
     #[test]

@@ -69,8 +69,9 @@ pub(super) fn send(stream: &mut TcpStream, answer: &Answer) {
     // A client that is gone needs no answer.
 }
 
-/// Reads and discards what a client still sends, for a moment. If a connection is closed with
-/// unread bytes, the system resets it, and the client may lose its answer.
+/// Reads and discards, for up to 1 s, the bytes that a client sends after its request. If a
+/// connection is closed with unread bytes, the system resets it, and the client may lose its
+/// answer.
 fn drain(stream: &mut TcpStream) {
     let until = Instant::now() + LINGER;
     let mut part = [0; 4096];
@@ -99,16 +100,16 @@ pub(super) fn events(feed: &Feed, server: &str, mut stream: TcpStream) {
         return;
     }
     let mut position = feed.position();
-    let mut spoke = Instant::now();
+    let mut last_sent = Instant::now();
     loop {
         let closes = feed.closed.load(Ordering::Relaxed);
         let mut text = String::new();
         write_events(&mut text, &feed.since(&mut position));
-        if text.is_empty() && spoke.elapsed() >= ALIVE {
+        if text.is_empty() && last_sent.elapsed() >= ALIVE {
             text.push_str(": alive\n\n");
         }
         if !text.is_empty() {
-            spoke = Instant::now();
+            last_sent = Instant::now();
             if stream.write_all(text.as_bytes()).is_err() {
                 return;
             }
@@ -120,8 +121,8 @@ pub(super) fn events(feed: &Feed, server: &str, mut stream: TcpStream) {
     }
 }
 
-/// Whether the client has closed the connection, or the stream does not work. Leaves the stream
-/// blocking.
+/// Returns whether the client has closed the connection or the stream fails, and leaves the stream
+/// in blocking mode.
 fn is_gone(stream: &TcpStream) -> bool {
     let looked = stream.set_nonblocking(true).and_then(|()| stream.peek(&mut [0]));
     let is_gone = match looked {

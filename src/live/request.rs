@@ -42,12 +42,12 @@ impl Request {
         }
     }
 
-    /// Whether a header of this name is there.
+    /// Returns whether the request has a header of this name.
     pub(super) fn has(&self, name: &str) -> bool {
         self.headers.iter().any(|(header, _)| header == name)
     }
 
-    /// Whether the client asks for a WebSocket.
+    /// Returns whether the client requests a WebSocket.
     pub(super) fn is_upgrade(&self) -> bool {
         self.header("upgrade").is_some_and(|value| value.eq_ignore_ascii_case("websocket"))
     }

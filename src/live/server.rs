@@ -14,7 +14,7 @@ use super::connection::{Shared, Slot, serve};
 /// Pause after each connection, which bounds the work that a flood of connections causes.
 const PAUSE: Duration = Duration::from_millis(5);
 
-/// Longest time between two checks whether the view closes.
+/// Longest time between two checks of whether the view closes.
 const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 
 /// Size of the stack of a client's thread, bytes. It is small because the program may have locked
@@ -31,7 +31,7 @@ pub enum LiveError {
     /// The view cannot listen on the address.
     #[error("{address}: {source}")]
     Address {
-        /// Address that was asked for.
+        /// Address that the view was to listen on.
         address: SocketAddr,
         /// Error of the system.
         source: io::Error,
@@ -41,10 +41,10 @@ pub enum LiveError {
     System(#[source] io::Error),
 }
 
-/// Lowers the priority of the calling thread and of those that it starts.
+/// Lowers the priority of the calling thread and of the threads that it starts.
 pub(super) fn lower_priority() {
-    // On Linux the call changes the calling thread alone. If the system refuses it, the view works
-    // all the same.
+    // On Linux the call changes the calling thread alone. If the system refuses the call, the view
+    // works with the normal priority.
     let _ = setpriority_process(None, NICENESS);
 }
 

@@ -19,7 +19,7 @@ use crate::recording::samples::{header, outcome, tick};
 use crate::recording::{Channel, VIRTUAL_EPOCH_UNIX_NS, Viewer};
 use crate::telemetry::TickRecord;
 
-/// A view on a free port, and a flag that is set once somebody asks for a stop.
+/// A view on a free port, and a flag that is set once a client requests a stop.
 fn view() -> (LiveView, Arc<AtomicBool>) {
     let stopped = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stopped);
@@ -197,7 +197,7 @@ fn the_last_message_about_safety_has_the_ending() {
         let safety: Value = serde_json::from_slice(&message).unwrap();
         safety["ending_number"].as_u64()
     });
-    assert_eq!(endings, [None, Some(2)], "the box ended it");
+    assert_eq!(endings, [None, Some(2)], "the last message lacks the ending");
 }
 
 #[test]
@@ -210,7 +210,7 @@ fn a_viewer_that_writes_all_the_time_gets_the_feed_too() {
     let ended = Arc::new(AtomicBool::new(false));
     let seen = Arc::clone(&ended);
     let writer = std::thread::spawn(move || {
-        // A masked ping without data. On a busy computer 1000 of them take longer, like all else.
+        // These bytes are a masked ping without data.
         for _ in 0..1000 {
             let is_written = busy.write_all(&[0x89, 0x80, 0, 0, 0, 0]).is_ok();
             if !is_written || seen.load(Ordering::Relaxed) {
@@ -255,7 +255,7 @@ fn a_viewer_that_stops_reading_loses_messages_and_delays_nobody() {
             std::thread::sleep(Duration::from_millis(5));
         }
     }
-    // Whatever was dropped, the last tick is shown in the end.
+    // Some ticks may be dropped, so the last one is sent until the reader has it.
     while !reader.is_finished() {
         viewer.ticked(&tick(sent - 1));
         std::thread::sleep(Duration::from_millis(20));
@@ -263,8 +263,7 @@ fn a_viewer_that_stops_reading_loses_messages_and_delays_nobody() {
     assert!(reader.join().unwrap() > 0);
     viewer.ended(Some(&outcome()));
     drop(view);
-    // The client that did not read gets the messages that the system has kept for it, which are not
-    // all.
+    // The client that did not read gets only the messages that the system has kept for it.
     let mut count = 0_u32;
     let end = loop {
         match stuck.socket.read() {
@@ -294,7 +293,7 @@ fn the_page_loads_nothing_from_elsewhere() {
 }
 
 #[test]
-fn the_page_hears_of_status_rollout_ticks_and_end() {
+fn the_page_receives_status_rollout_ticks_and_end() {
     let (view, _) = view();
     let viewer = begun(&view);
     let mut stream = connect(view.address());
@@ -318,7 +317,7 @@ fn the_page_hears_of_status_rollout_ticks_and_end() {
 }
 
 #[test]
-fn the_page_tells_a_view_from_another_one_at_its_address() {
+fn two_views_at_one_address_have_different_names() {
     let (first, _) = view();
     let address = first.address();
     let server = || {
@@ -327,7 +326,7 @@ fn the_page_tells_a_view_from_another_one_at_its_address() {
         stream.write_all(request.as_bytes()).unwrap();
         let text = until(&mut stream, "event: status");
         let (_, events) = text.split_once("\r\n\r\n").unwrap();
-        // It comes first, because the page drops everything that it has from another view.
+        // The name comes first, because the page drops everything that it has from another view.
         let data = events.strip_prefix("event: server\ndata: \"").unwrap();
         data.split_once("\"\n\n").unwrap().0.to_owned()
     };
@@ -400,7 +399,7 @@ fn foreign_pages_get_no_feed() {
 }
 
 #[test]
-fn bad_clients_hurt_nobody_but_themselves() {
+fn bad_clients_do_not_disturb_other_clients() {
     let (view, _) = view();
     let viewer = begun(&view);
     let address = view.address();
@@ -426,7 +425,7 @@ fn bad_clients_hurt_nobody_but_themselves() {
         frame.extend(length.to_be_bytes());
         frame.extend([0; 4]);
         huge.socket.get_mut().write_all(&frame).unwrap();
-        assert!(closes(&mut huge), "{length}");
+        assert!(closes(&mut huge), "a client may send a message of {length} bytes");
     }
     let mut flood = Listener::new(address, "foxglove.sdk.v1");
     for _ in 0..10 * MAX_MESSAGES_A_SECOND {
@@ -434,7 +433,7 @@ fn bad_clients_hurt_nobody_but_themselves() {
             break;
         }
     }
-    assert!(closes(&mut flood), "it floods");
+    assert!(closes(&mut flood), "a client may send too many messages");
     let mut garbage = listening(address, &["/timing"]);
     for text in [
         "",
@@ -451,7 +450,7 @@ fn bad_clients_hurt_nobody_but_themselves() {
     assert_eq!(garbage.data().0, 2, "invalid messages are ignored");
 }
 
-/// Whether the view ends the connection; messages that it still sends are ignored.
+/// Returns whether the view ends the connection, and ignores the messages that come before the end.
 fn closes(listener: &mut Listener) -> bool {
     loop {
         match listener.socket.read() {
@@ -493,7 +492,7 @@ fn half_open_connections_take_a_bounded_number_of_places_and_give_them_back() {
 }
 
 #[test]
-fn a_stop_gets_through_beside_all_viewers_that_are_served() {
+fn a_stop_arrives_while_all_places_for_viewers_are_taken() {
     let (view, stopped) = view();
     let address = view.address();
     let events = format!("GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n");
@@ -528,7 +527,9 @@ fn an_address_in_use_is_named() {
     let (view, _) = view();
     let settings = LiveSettings { address: view.address(), origins: Vec::new() };
     let again = LiveView::serve(&settings, |_| {});
-    let Err(LiveError::Address { address, .. }) = again else { panic!("it is served twice") };
+    let Err(LiveError::Address { address, .. }) = again else {
+        panic!("two views listen on one address")
+    };
     assert_eq!(address, view.address());
 }
 

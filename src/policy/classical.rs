@@ -150,15 +150,15 @@ mod tests {
     }
 
     #[test]
-    fn the_gains_of_balancing_are_those_of_the_lqr_on_the_nominal_parameters() {
+    fn the_gains_of_balancing_equal_the_lqr_gains_on_the_nominal_parameters() {
         let solved = lqr_gains(PI, [1.0, 1.0, 0.02, 0.005], 0.05);
         for (gain, solved) in ClassicalGains::default().balance.iter().zip(solved) {
-            assert!((gain - solved).abs() < 1e-3, "{gain} {solved}");
+            assert!((gain - solved).abs() < 1e-3, "{gain} instead of {solved}");
         }
     }
 
     #[test]
-    fn it_swings_up_and_balances_from_any_start_near_hanging() {
+    fn the_controller_swings_up_and_balances_from_any_start_near_hanging() {
         for corner_rad_s in [200.0, 1000.0] {
             for theta in [-0.1, 0.0, 0.1] {
                 for alpha in [-0.1, 0.0, 0.1] {

@@ -18,7 +18,7 @@ const LOOK_AHEAD_S: f64 = 0.2;
 
 /// Angle beyond which steps and pushes drive the arm back, rad. Steps compare the angle that they
 /// extrapolate by [`LOOK_AHEAD_S`], pushes the present angle.
-const WAY_OUT_RAD: f64 = 0.6;
+const DRIVEN_BACK_RAD: f64 = 0.6;
 
 /// Angle from hanging at which pushes stop raising the pendulum and begin to calm it, rad.
 const RAISED_RAD: f64 = 1.3;
@@ -114,7 +114,7 @@ impl Excitation {
                 let ahead_rad = state.theta + LOOK_AHEAD_S * state.theta_dot;
                 self.step.next(self.outward(ahead_rad))
             }
-            // An arm that is far out is driven back, whatever the pendulum does. The pendulum at
+            // An arm that is far out is driven back, regardless of the pendulum. The pendulum at
             // rest is pushed in the direction in which the excitation starts.
             ExcitationShape::Pushes => match (self.outward(state.theta), self.push.next(state)) {
                 (0.0, 0.0) => 1.0,
@@ -130,7 +130,7 @@ impl Excitation {
 
     /// The sign of the levels that push an arm at this angle further out, or 0 near the centre.
     fn outward(&self, theta: f64) -> f64 {
-        if theta.abs() > WAY_OUT_RAD { theta.signum() * self.voltage_v.signum() } else { 0.0 }
+        if theta.abs() > DRIVEN_BACK_RAD { theta.signum() * self.voltage_v.signum() } else { 0.0 }
     }
 }
 
@@ -183,7 +183,7 @@ impl StepSequence {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct PushSequence {
     raises: bool,
-    /// Whether the pendulum is on the side of positive angles.
+    /// True if the pendulum is on the side of positive angles.
     is_positive: bool,
     /// Largest angle from hanging in the present half swing, rad.
     widest_rad: f64,
@@ -202,7 +202,8 @@ impl PushSequence {
         }
         self.widest_rad = self.widest_rad.max(angle_rad.abs());
         self.raises &= self.widest_rad < RAISED_RAD;
-        // An accelerated arm feeds power of the sign of -cos(alpha) alpha_dot into the pendulum.
+        // A positive acceleration of the arm feeds power of the sign of -cos(alpha) alpha_dot into
+        // the pendulum.
         let swing = state.alpha_dot * Scalar::sin_cos(angle_rad).1;
         let direction = if self.raises { -1.0 } else { 1.0 };
         if swing == 0.0 { 0.0 } else { direction * swing.signum() }
@@ -219,14 +220,14 @@ mod tests {
     }
 
     #[test]
-    fn all_keep_to_their_limit_and_those_in_open_loop_use_it_on_both_sides() {
+    fn voltages_keep_to_their_limit_and_reach_it_on_both_sides_in_open_loop() {
         for shape in ExcitationShape::ALL {
             for theta in [0.0, 2.0, -2.0] {
                 let voltages_v = voltages(&mut Excitation::new(shape, 1.5), theta);
                 assert!(voltages_v.iter().all(|voltage_v| voltage_v.abs() <= 1.5));
             }
             if shape == ExcitationShape::Pushes {
-                // They follow the pendulum.
+                // Pushes follow the pendulum.
                 continue;
             }
             let mut excitation = Excitation::new(shape, -1.5);
@@ -276,14 +277,14 @@ mod tests {
             excitation.voltage_v(&State { alpha, alpha_dot, ..State::default() })
         };
         assert_eq!(at(0.0, 0.0), 1.0);
-        // Raising is to push against the pendulum's velocity below the horizontal.
+        // Below the horizontal, a push against the pendulum's velocity raises it.
         assert_eq!([at(0.1, 2.0), at(0.5, -1.0), at(-0.1, -2.0)], [-1.0, 1.0, 1.0]);
-        // The swing to 1.4 rad is high enough; a wide swing the other way is calmed on.
+        // The swing to 1.4 rad is high enough, so the next pushes calm the pendulum.
         assert_eq!(
             [at(0.2, 6.0), at(1.4, 1.0), at(-0.4, -3.0), at(-0.4, 3.0)],
             [-1.0, 1.0, -1.0, 1.0]
         );
-        // That swing reached 0.4 rad, the next one only 0.2.
+        // The swing to the other side reached 0.4 rad, the next one reaches only 0.2 rad.
         assert_eq!([at(0.2, 1.0), at(0.2, -1.0)], [1.0, -1.0]);
         assert_eq!([at(-0.1, -1.0), at(0.1, 1.0)], [1.0, -1.0]);
     }
@@ -299,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_and_pushes_drive_an_arm_back_that_is_on_its_way_out() {
+    fn steps_and_pushes_drive_back_an_arm_that_moves_outward() {
         for shape in [ExcitationShape::Steps, ExcitationShape::Pushes] {
             for (voltage_v, theta_dot) in [(1.0, 4.0), (1.0, -4.0), (-1.0, 4.0), (-1.0, -4.0)] {
                 let mut excitation = Excitation::new(shape, voltage_v);

@@ -21,7 +21,7 @@ pub struct External {
 
 impl External {
     /// A controller of this name, without answers. A name longer than 200 bytes is cut after the
-    /// last letter that fits.
+    /// last character that fits.
     #[must_use]
     pub fn new(name: &str) -> Self {
         let cut = name.floor_char_boundary(MAX_NAME_BYTES);
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_answers_in_order_from_each_start_and_then_with_no_number() {
+    fn the_answers_come_in_order_after_each_start_and_then_nan() {
         let mut external = External::new("mine").answering(vec![1.0, -2.0]);
         for _ in 0..2 {
             external.start();
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_name_is_cut_at_a_letter() {
+    fn a_long_name_is_cut_between_characters() {
         let name = "ä".repeat(MAX_NAME_BYTES);
         assert_eq!(External::new(&name).name(), "ä".repeat(MAX_NAME_BYTES / 2));
     }

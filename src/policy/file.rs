@@ -132,7 +132,7 @@ pub(super) fn write(policy: &Policy) -> Vec<u8> {
         }
     };
     let metadata = HashMap::from([(METADATA_KEY.to_owned(), json_of(format_version, controller))]);
-    serialize(tensors, Some(metadata)).expect("tensors whose bytes follow from their shapes")
+    serialize(tensors, Some(metadata)).expect("the shape of each tensor fits its bytes")
 }
 
 /// A tensor ready for serialisation.

@@ -60,7 +60,7 @@ pub enum PolicyFault {
     },
     /// This program does not read the file's version of the format.
     #[error(
-        "has format version {version}, this program reads versions 1 to {FORMAT_VERSION}. Train or import it again, or use the program that wrote it"
+        "has format version {version}; this program reads versions 1 to {FORMAT_VERSION}. Train or import it again, or use the program that wrote it"
     )]
     Version {
         /// Version of the file.
@@ -85,8 +85,8 @@ pub enum PolicyFault {
         /// Layer sizes of the network.
         sizes: Vec<usize>,
     },
-    /// The file names other conventions than this program's, or the entries of its metadata are not
-    /// those of its version.
+    /// The file names other conventions than this program's, or its metadata has other entries than
+    /// its version requires.
     #[error(
         "does not name the conventions of this program in format version {version}: signs, zeros, units and period must be \
          its own. Train or import it again"

@@ -47,7 +47,7 @@ fn classical_policy() -> Policy {
     Policy::Classical(ClassicalController::new(ClassicalGains::default()))
 }
 
-/// The fault of these bytes; the test fails when they have none.
+/// The fault of these bytes; the test fails if they have none.
 fn fault(bytes: &[u8]) -> String {
     Policy::from_bytes(bytes).expect_err("these bytes are no policy").to_string()
 }
@@ -74,7 +74,7 @@ fn a_network_comes_back_bit_for_bit_and_so_do_its_bytes() {
 }
 
 #[test]
-fn a_network_comes_back_with_its_history_and_a_file_says_what_it_sees() {
+fn a_network_comes_back_with_its_history_and_its_file_names_the_observation() {
     for history in 0..=MAX_HISTORY {
         let bytes = network_policy_with_history(history).to_bytes();
         let Policy::Network(read) = Policy::from_bytes(&bytes).unwrap() else { unreachable!() };
@@ -259,7 +259,7 @@ fn each_kind_of_damage_is_named() {
 }
 
 #[test]
-fn numbers_that_are_none_are_refused() {
+fn nan_and_infinity_are_refused() {
     let mut bytes = network_policy().to_bytes();
     let end = bytes.len();
     bytes[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
@@ -271,8 +271,8 @@ fn numbers_that_are_none_are_refused() {
 }
 
 #[test]
-fn a_training_that_cannot_be_is_refused() {
-    let Policy::Network(policy) = network_policy() else { panic!("a network") };
+fn an_impossible_training_record_is_refused() {
+    let Policy::Network(policy) = network_policy() else { panic!("the policy is no network") };
     let observer = SimulatedObserver {
         model: QubeModel::NOMINAL,
         theta_noise_rad_s2: 30.0,
@@ -327,12 +327,12 @@ fn a_training_that_cannot_be_is_refused() {
         (TrainingRecord { voltage_change_weight: -1.0, ..fine }, "voltage_change_weight = -1"),
     ] {
         let message = read_back(training).unwrap_err();
-        assert!(message.contains(words), "{words}: {message}");
+        assert!(message.contains(words), "{words:?} is missing in: {message}");
     }
 }
 
 #[test]
-fn a_tensor_too_many_is_refused() {
+fn an_unexpected_tensor_is_refused() {
     // The file has a tensor `layers.9.weight` in place of `layers.2.weight`.
     let bytes = network_policy().to_bytes();
     let fewer = with_header_text(&bytes, "layers.2.weight", "layers.9.weight");
@@ -352,12 +352,12 @@ fn a_tensor_too_many_is_refused() {
 
 proptest! {
     #[test]
-    fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+    fn no_bytes_make_the_reader_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
         let _ = Policy::from_bytes(&bytes);
     }
 
     #[test]
-    fn no_damage_makes_it_panic_or_lets_a_broken_network_through(
+    fn no_damage_makes_the_reader_panic_or_accept_a_broken_network(
         changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         classical in any::<bool>(),
     ) {

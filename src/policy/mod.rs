@@ -114,9 +114,9 @@ pub struct NetworkPolicy {
     pub training: TrainingRecord,
 }
 
-/// Decides the voltage at each step of a rollout. [`Policy`] implements this trait for the kinds of
-/// controller that a file may hold. A controller of any other type that implements it runs in the
-/// same tick, loop and replay ([`crate::policy`] has an example).
+/// A controller, which decides the voltage at each step of a rollout. [`Policy`] implements this
+/// trait for the kinds of controller that a file may hold. A controller of any other type that
+/// implements it runs in the same tick, loop and replay ([`crate::policy`] has an example).
 pub trait Controller: Send {
     /// Starts a rollout and resets state that an earlier one left.
     fn start(&mut self) {}

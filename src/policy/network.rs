@@ -52,8 +52,8 @@ pub enum NetworkError {
         /// Scale given, V.
         action_scale_v: f32,
     },
-    /// There are bounds, but not one pair for each entry of the observation, or a lower bound is
-    /// not at most its upper bound.
+    /// The number of pairs of bounds is neither 0 nor the number of entries of the observation, or
+    /// no finite number lies between the two bounds of a pair.
     #[error(
         "the observation is clipped by {given} pairs of bounds: it has {entries} entries, and each pair must be two numbers, \
          the lower one first"
@@ -99,8 +99,8 @@ impl Network {
     /// 64, 64, 1.
     ///
     /// # Errors
-    /// Sizes exceed the limits, arrays have other lengths than the sizes require, values are not
-    /// finite, or the action scale is not above 0 V and at most 100 V.
+    /// Sizes are outside the limits, the number of layers or the length of an array is not as the
+    /// sizes require, values are not finite, or the action scale is not in (0, 100] V.
     pub fn new(
         sizes: &[usize],
         layers: &[LayerWeights],
@@ -147,11 +147,11 @@ impl Network {
     /// Replaces the bounds of the observation: a pair of least and largest value for each entry,
     /// infinite on a side without a bound. An entry beyond a bound counts as the bound. An empty
     /// list clips nothing. The largest finite numbers of both signs count as no bound, as in a
-    /// policy file, and pairs that bound no entry as an empty list, as in an ONNX graph.
+    /// policy file. Pairs that bound no entry count as an empty list, as in an ONNX graph.
     ///
     /// # Errors
-    /// The number of pairs is neither 0 nor the number of entries, a lower bound is not at most its
-    /// upper bound, or no finite number lies between the two.
+    /// The number of pairs is neither 0 nor the number of entries, or no finite number lies between
+    /// the two bounds of a pair.
     pub fn with_bounds(self, bounds: Vec<[f32; 2]>) -> Result<Self, NetworkError> {
         let (given, entries) = (bounds.len(), self.sizes[0]);
         let fits = given == entries || given == 0;
@@ -205,13 +205,14 @@ impl Network {
         self.sizes[0] - OBSERVATION_SIZE
     }
 
-    /// Starts a rollout: the last commands count as 0 V, because the motor is off before a rollout.
+    /// Starts a rollout: the last commands count as 0 V, as in training, and not as the voltages
+    /// that settled the arm.
     pub fn start(&mut self) {
         self.commands = [0.0; MAX_HISTORY];
     }
 
-    /// Remembers the voltage that acted at the motor for one control period, V, as the newest of
-    /// the last commands.
+    /// Remembers the voltage that was sent for the last control period, V, after guard and limits,
+    /// as the newest of the last commands.
     pub fn applied(&mut self, voltage_v: f64) {
         self.commands.rotate_right(1);
         self.commands[0] = (voltage_v / MAX_VOLTAGE_V) as f32;
@@ -242,7 +243,11 @@ impl Network {
     /// Panics if the observation's length differs from the network's number of inputs.
     #[must_use]
     pub fn voltage_of_observation_v(&mut self, observation: &[f32]) -> f32 {
-        assert_eq!(observation.len(), self.sizes[0], "observation: [inputs]");
+        assert_eq!(
+            observation.len(),
+            self.sizes[0],
+            "the observation must have one entry for each input"
+        );
         dispatch(Infer { network: self, input: Input::Observation(observation) })
     }
 }
@@ -390,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn voltages_are_those_of_the_textbook() {
+    fn voltages_equal_the_formulas_of_the_textbook() {
         for sizes in [&[6, 64, 64, 1][..], &[6, 7, 1], &[6, 33, 1, 20, 17, 1]] {
             let mut network = network(sizes);
             for state in states() {
@@ -401,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn other_functions_are_those_of_the_textbook() {
+    fn other_functions_equal_the_formulas_of_the_textbook() {
         let function = |activation, x: f64| match activation {
             Activation::Tanh => x.tanh(),
             Activation::Relu => x.max(0.0),

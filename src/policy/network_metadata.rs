@@ -131,7 +131,7 @@ impl NetworkMetadata {
     }
 }
 
-/// Whether version 1 of the format can express a policy.
+/// Returns whether version 1 of the format can express a policy.
 pub(super) fn is_of_the_first_version(policy: &NetworkPolicy) -> bool {
     let NetworkPolicy { network, training } = policy;
     let functions = (network.activation(), network.output());

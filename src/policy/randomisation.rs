@@ -38,7 +38,7 @@ const SUMMARISED: usize = 3;
 const LARGEST: f64 = 1e6;
 
 impl Randomisation {
-    /// The numbers of the file, to be checked when it is read.
+    /// The numbers that a file gives, each with its accepted values.
     pub(super) fn checks(&self) -> impl Iterator<Item = Check> + '_ {
         let means = self.distributions.values().map(|drawn| drawn.mean());
         let joint = self.directions.iter().flat_map(|direction| direction.values().copied());
@@ -50,19 +50,19 @@ impl Randomisation {
         let within = |name: &'static str| {
             move |value: f64| (name, value, value.abs() <= LARGEST, "from -1000000 to 1000000")
         };
-        let positive = |value: f64| {
+        let not_negative = |value: f64| {
             let is_possible = (0.0..=LARGEST).contains(&value);
             ("a standard_deviation of randomisation", value, is_possible, "from 0 to 1000000")
         };
         means
             .map(within("a mean or value of randomisation"))
-            .chain(deviations.map(positive))
+            .chain(deviations.map(not_negative))
             .chain(joint.map(within("an entry of randomisation.directions")))
             .chain(of_specimens.map(within("an entry of randomisation.specimens")))
     }
 
-    /// The number of random quantities, and those that vary most in proportion to their mean, in
-    /// one line. A deviation includes the joint deviations.
+    /// The number of random quantities, and the quantities that vary most in proportion to their
+    /// mean, in one line. A deviation includes the joint deviations.
     #[must_use]
     pub fn summary(&self) -> String {
         let mut random: Vec<(Quantity, f64, f64)> = Vec::new();
@@ -73,7 +73,7 @@ impl Randomisation {
                 random.push((quantity, drawn.mean(), variance.sqrt()));
             }
         }
-        // A quantity whose mean is 0 has no share of it.
+        // A quantity whose mean is 0 has no proportion to it and comes last.
         let share =
             |mean: f64, deviation: f64| if mean == 0.0 { 0.0 } else { deviation / mean.abs() };
         random.sort_by(|a, b| share(b.1, b.2).total_cmp(&share(a.1, a.2)));
@@ -90,7 +90,7 @@ impl Randomisation {
             0 => "always the same pendulum".to_owned(),
             1 => format!("one random quantity, {most}"),
             count if count <= SUMMARISED => format!("{count} random quantities, {most}"),
-            count => format!("{count} random quantities, those that vary most {most}"),
+            count => format!("{count} random quantities; these vary most: {most}"),
         }
     }
 }
@@ -138,7 +138,7 @@ fn in_words(quantity: Quantity, distribution: &Distribution) -> String {
     format!("{name} {mean} ± {deviation} {unit} ({family})")
 }
 
-/// A number with three significant digits, or without decimals from 1000 to 9999.
+/// A number with at most three significant digits, or without decimals from 1000 to 9999.
 fn three_digits(value: f64) -> String {
     let places = if value == 0.0 { 0.0 } else { 2.0 - value.abs().log10().floor() };
     match places {
@@ -160,7 +160,7 @@ mod tests {
     use crate::qube::{DomainParameter, Nonideality};
 
     #[test]
-    fn the_random_quantities_are_told_with_their_units() {
+    fn the_text_names_the_random_quantities_with_their_units() {
         let normal = Distribution::Normal { mean: 8.4, standard_deviation: 0.84 };
         let uniform = Distribution::Uniform { mean: 0.0, standard_deviation: 0.00012 };
         let mut randomisation = Randomisation {
@@ -200,7 +200,7 @@ mod tests {
         };
         assert_eq!(
             randomisation.summary(),
-            "4 random quantities, those that vary most R_m 10 ± 5 ohm, M_p 10 ± 2 kg, M_r 10 ± 1 kg"
+            "4 random quantities; these vary most: R_m 10 ± 5 ohm, M_p 10 ± 2 kg, M_r 10 ± 1 kg"
         );
         randomisation.distributions.retain(|quantity, _| quantity.symbol() == "R_m");
         assert_eq!(randomisation.summary(), "one random quantity, R_m 10 ± 5 ohm");

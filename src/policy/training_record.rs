@@ -75,7 +75,7 @@ impl TrainingRecord {
     /// Checks the numbers of the record.
     ///
     /// # Errors
-    /// The first number that no training has.
+    /// Names the first number that is out of range.
     pub(super) fn check(&self) -> Result<(), PolicyFault> {
         const ABOVE_0: &str = "above 0 and at most 1000000";
         let is_above_0 = |value: f64| value > 0.0 && value <= 1e6;
@@ -134,7 +134,7 @@ pub enum SimulatedGuard {
 }
 
 impl SimulatedGuard {
-    /// Whether the box alone ended rollouts, which files need not say.
+    /// Returns whether the box alone ended rollouts; files then name no guard.
     #[must_use]
     pub fn is_box(&self) -> bool {
         *self == Self::Box

@@ -19,8 +19,8 @@ pub const SLOW_US: f64 = 500.0;
 pub const TOO_SLOW_US: f64 = 1600.0;
 
 /// Measures how long this processor needs for the longest prediction that the guard may have to
-/// make in a tick with this plant, us: one in which every particle (a specimen that this one may
-/// be) is simulated to the horizon. The result is the shortest of 25 measurements.
+/// make in a tick with this plant, us: a prediction in which every particle (a Qube that this one
+/// may be) is simulated to the horizon. The result is the shortest of 25 measurements.
 #[must_use]
 pub fn foresight_time_us(plant: &PlantModel) -> f64 {
     let mut foresight = ForesightSettings::default().foresight(None, plant);
@@ -49,7 +49,7 @@ pub struct TooSlow {
 /// Refuses hardware with foresight as its guard if this longest prediction, us, is too long.
 ///
 /// # Errors
-/// The prediction takes more than [`TOO_SLOW_US`].
+/// The prediction takes more than [`TOO_SLOW_US`], or the number is NaN.
 pub fn admit_processor(longest_us: f64) -> Result<(), TooSlow> {
     if longest_us <= TOO_SLOW_US { Ok(()) } else { Err(TooSlow { longest_us }) }
 }

@@ -26,7 +26,7 @@ pub fn latency_timer_remedy(port: &str) -> String {
 }
 
 /// The file with the setting of a port. A link to the port is resolved first, because the folder
-/// bears the kernel's name of the port.
+/// has the kernel's name of the port.
 fn setting(terminals: &Path, port: &str) -> Option<PathBuf> {
     let port = fs::canonicalize(port).ok()?;
     let path = terminals.join(port.file_name()?).join("device/latency_timer");

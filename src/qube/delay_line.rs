@@ -15,8 +15,8 @@ pub(super) const STEP_S: f32 = (CONTROL_PERIOD_S / SUBSTEPS as f64) as f32;
 /// With a delay of `n` whole periods and `f` seconds, command `k - n - 1` acts at the motor for the
 /// first `f` seconds of period `k`, and command `k - n` for the rest. A period is integrated in
 /// `SUBSTEPS + 1` pieces: the instant `f` cuts one substep in two. The delay is therefore exact,
-/// and no piece is longer than a substep. Without a delay the first piece is empty and the others
-/// are the substeps.
+/// and no piece is longer than a substep. If `f` is 0, the first piece is empty and the others are
+/// the substeps.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DelayLine {
     /// Last commands after clipping, V, newest first.
@@ -26,7 +26,7 @@ pub(super) struct DelayLine {
     /// Instant in the period at which the voltage changes, f, s.
     change_s: Lanes,
     /// Voltage at the motor until `change_s` in the current period, V; if `change_s` is 0, the
-    /// voltage at the end of the period before.
+    /// voltage at the end of the period before, or with the longest delay the same as `after_v`.
     before_v: Lanes,
     /// Voltage at the motor after `change_s`, V.
     after_v: Lanes,
@@ -51,7 +51,7 @@ impl DelayLine {
     }
 
     /// Largest voltage, V. Loops over lanes copy it to a local variable first, because a load
-    /// inside the loop would keep it from becoming vector code.
+    /// inside the loop would keep the loop from becoming vector code.
     #[inline(always)]
     pub(super) fn largest_v(&self) -> f32 {
         self.largest_v
@@ -81,7 +81,7 @@ impl DelayLine {
         self.sent_v = *sent_v;
     }
 
-    /// Whether a lane's commands act without delay.
+    /// Returns whether a lane's commands act without delay.
     pub(super) fn is_immediate(&self, lane: usize) -> bool {
         self.whole_periods[lane] == 0.0 && self.change_s[lane] == 0.0
     }
@@ -107,8 +107,8 @@ impl DelayLine {
                 newer_v = older_v;
             }
             // With the longest delay, a whole number of periods, the voltage does not change within
-            // the period. The line has forgotten the command before, so `before_v` is the voltage
-            // of this period too.
+            // the period. The line does not store the command before it, so `before_v` is the
+            // voltage of this period too.
             let oldest = self.whole_periods[lane] == MAX_HISTORY as f32;
             self.before_v[lane] = if oldest { newer_v } else { before_v };
             self.after_v[lane] = if oldest { newer_v } else { after_v };

@@ -30,7 +30,7 @@ pub struct Encoders {
     pub alpha: Encoder,
 }
 
-/// Rounds angles down to the counts of an encoder, in any number type.
+/// The quantiser of an encoder, which rounds angles down to its counts, in any number type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantiser<T = f64> {
     counts_per_rad: T,
@@ -42,12 +42,12 @@ impl Encoder {
     pub const QUBE: Self = Self { counts_per_revolution: COUNTS_PER_REVOLUTION };
 
     /// Fewest counts a revolution: 250 lines, four edges each. At this limit one count in a control
-    /// period of 10 ms is 0.6 rad/s; with coarser encoders the watches of the sensors report
-    /// healthy ones as frozen.
+    /// period of 10 ms is 0.6 rad/s; the watches of the sensors would report coarser encoders as
+    /// frozen.
     const FEWEST: i32 = 1000;
 
-    /// Most counts a revolution. With more, the count of a pendulum that spins could overflow
-    /// within a session: at this limit it holds 2048 turns.
+    /// Most counts a revolution. With more, the 32-bit count of a pendulum that spins could
+    /// overflow within a session: at this limit the count holds 2048 turns.
     const MOST: i32 = 1 << 20;
 
     /// Counts in one revolution.
@@ -105,7 +105,7 @@ impl Encoder {
     fewest = Encoder::FEWEST, most = Encoder::MOST
 )]
 pub struct UnfitResolution {
-    /// Counts in one revolution that were given.
+    /// Number of counts in one revolution that was given.
     pub counts_per_revolution: i32,
 }
 
@@ -131,7 +131,7 @@ impl Encoders {
     /// The encoders of a Qube.
     pub const QUBE: Self = Self { theta: Encoder::QUBE, alpha: Encoder::QUBE };
 
-    /// Whether both encoders have the resolution of a Qube's.
+    /// Returns whether both encoders have the resolution of a Qube's.
     #[must_use]
     pub fn are_qube(&self) -> bool {
         *self == Self::QUBE

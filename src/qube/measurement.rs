@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-/// One sample of a Qube: raw encoder counts, and what the device reports beside them.
+/// One sample of a Qube: raw encoder counts, and the other quantities that the device reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measurement {
     /// Time at which the encoders were read, by the device's clock, microseconds since its start. A

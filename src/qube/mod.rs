@@ -5,7 +5,7 @@
 //! computes it for sixteen Qubes side by side. The room is pure (no randomness, no I/O) and may
 //! import `elementary`.
 //!
-//! Conventions everywhere: theta is the angle of the rotary arm, alpha that of the pendulum;
+//! Conventions everywhere: theta is the angle of the rotary arm, alpha the angle of the pendulum;
 //! **alpha = 0 hangs down, alpha = pi is upright**. Angles are in rad, velocities in rad/s, and the
 //! action is the motor voltage in V; a positive voltage turns the arm towards positive theta.
 //!

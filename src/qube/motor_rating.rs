@@ -24,7 +24,7 @@ impl MotorRating {
     /// conservative assumption, not a measurement.
     pub const NOMINAL: Self = Self { continuous_a: 0.54, time_constant_s: 30.0 };
 
-    /// Continuous currents, A, that a file may give: those of motors of table-top size.
+    /// Continuous currents, A, that a file may give: the currents of table-top motors.
     pub const CURRENTS_A: RangeInclusive<f64> = 0.05..=10.0;
 
     /// Thermal time constants, s, that a file may give.
@@ -39,14 +39,15 @@ impl MotorRating {
         }
     }
 
-    /// Whether both numbers of the rating are in the range that a file may give.
+    /// Returns whether both numbers of the rating are in the range that a file may give.
     #[must_use]
     pub fn is_plausible(&self) -> bool {
         Self::CURRENTS_A.contains(&self.continuous_a)
             && Self::TIME_CONSTANTS_S.contains(&self.time_constant_s)
     }
 
-    /// Whether both numbers of the rating are positive and no larger than those of another one.
+    /// Returns whether both numbers of the rating are positive and no larger than the numbers of
+    /// another rating.
     #[must_use]
     pub fn is_within(&self, other: &Self) -> bool {
         let within = |value: f64, most: f64| value > 0.0 && value <= most;

@@ -158,7 +158,7 @@ impl QubeModel {
     }
 
     /// The Qube between one with the parameters `nominal` and no nonidealities (`factor` 0) and
-    /// this one (`factor` 1), or beyond it; [`Self::scaled`] describes how.
+    /// this one (`factor` 1), or beyond it; [`Self::scaled`] describes the interpolation.
     #[must_use]
     pub fn scaled_from(&self, nominal: &DomainParameters, factor: f64) -> Self {
         let mut parameters = *nominal;
@@ -231,9 +231,9 @@ impl<T: Scalar> NonidealDynamics<T> {
         push + pull
     }
 
-    /// Torque of the Coulomb friction against a velocity of the arm, N m. It is an odd, smooth and
-    /// monotone function of the velocity, and within a few percent of the full torque from 0.5
-    /// rad/s on.
+    /// Torque of the Coulomb friction against a velocity of the arm, N m. It is an odd and monotone
+    /// function of the velocity with a continuous slope, and within a few percent of the full
+    /// torque from 0.5 rad/s on.
     #[inline(always)]
     fn friction(&self, theta_dot: T) -> T {
         let x = theta_dot * T::from_f64(1.0 / FRICTION_VELOCITY_RAD_S);
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn without_nonidealities_the_equations_are_those_of_the_thesis() {
+    fn without_nonidealities_the_equations_equal_the_thesis_equations() {
         let (ideal, nonidealities) =
             (Dynamics::<f64>::new(&DomainParameters::NOMINAL), with(Nonidealities::default()));
         for step in 0..1000 {
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn scaled_nonidealities_go_through_nominal_and_itself() {
+    fn a_scaled_model_passes_through_the_nominal_model_and_itself() {
         let parameters =
             DomainParameters { motor_resistance_ohm: 4.2, ..DomainParameters::NOMINAL };
         let nonidealities = Nonidealities {

@@ -1,6 +1,6 @@
 use std::ops::RangeInclusive;
 
-/// Names one entry of the [`Nonidealities`](super::Nonidealities): any but the cable's drift.
+/// One term of the [`Nonidealities`](super::Nonidealities): any but the cable's drift.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Nonideality {
     /// Coulomb friction of the arm, N m.

@@ -88,7 +88,7 @@ pub enum ParameterError {
         value: f64,
         /// Largest accepted value of the parameter.
         largest: f64,
-        /// Unit of both.
+        /// Unit of the value and of the largest accepted value.
         unit: &'static str,
     },
 }
@@ -99,8 +99,8 @@ impl DomainParameter {
     pub const MASSES_AND_LENGTHS: [Self; 4] =
         [Self::RotaryMass, Self::PendulumMass, Self::RotaryLength, Self::PendulumLength];
 
-    /// Largest accepted value of this parameter in its SI unit. Masses and lengths are those of
-    /// table-top pendulums, so that most masses in g and lengths in cm or mm are refused.
+    /// Largest accepted value of this parameter in its SI unit. The limits of masses and lengths
+    /// fit table-top pendulums, so that most masses in g and lengths in cm or mm are refused.
     #[must_use]
     pub fn largest(self) -> f64 {
         match self {
@@ -153,7 +153,8 @@ impl DomainParameter {
         }
     }
 
-    /// Whether zero is allowed: a Qube may lack damping or motor torque on paper, but not mass.
+    /// Returns whether zero is allowed: a Qube may lack damping or motor torque on paper, but not
+    /// mass.
     #[must_use]
     pub fn may_be_zero(self) -> bool {
         matches!(self, Self::MotorBackEmf | Self::RotaryDamping | Self::PendulumDamping)
@@ -208,8 +209,8 @@ impl DomainParameters {
     /// Checks that the values are physical.
     ///
     /// # Errors
-    /// Names the first parameter that is not a number, too large, below 0, or 0 where it must be
-    /// above.
+    /// Names the first parameter that is not a number, too large, below 0, or 0 although it must be
+    /// above 0.
     pub fn check(&self) -> Result<(), ParameterError> {
         for parameter in DomainParameter::ALL {
             let (symbol, value) = (parameter.symbol(), self.get(parameter));

@@ -12,8 +12,8 @@ use super::{
 /// A rotary pendulum as its maker describes it: its nominal parameters, encoders, stops and motor.
 /// A TOML file can describe one (`docs/reference/plants.md`); [`PlantModel::QUBE`] is built in.
 ///
-/// It describes what all specimens of a plant share. A [`super::Profile`] describes one identified
-/// specimen.
+/// A `PlantModel` describes the properties that all specimens of a plant share. A
+/// [`super::Profile`] describes one identified specimen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlantModel {
@@ -59,13 +59,13 @@ pub struct PlantMotor {
 /// The reason why a text describes no plant.
 #[derive(Debug, Error)]
 pub enum PlantError {
-    /// The text is not TOML, lacks a key, or has an unknown one or an invalid value.
+    /// The text is not TOML, lacks a key, or has an unknown key or an invalid value.
     #[error("{}", .0.to_string().trim_end())]
     Invalid(#[from] Box<toml::de::Error>),
     /// Another plant has the name of the built-in Qube. Profiles name the plant that they were
-    /// fitted to, so its profiles would count as those of a Qube.
+    /// fitted to, so its profiles would count as profiles of a Qube.
     #[error(
-        "the name `qube` is that of the built-in Qube, and this plant is another one: give it a name of its own"
+        "the name `qube` belongs to the built-in Qube, and this plant is another one: give it a name of its own"
     )]
     NameOfQube,
 }
@@ -108,7 +108,7 @@ impl PlantModel {
         Self::parse(&text).map(|_| ())
     }
 
-    /// Whether this is the built-in Qube.
+    /// Returns whether this is the built-in Qube.
     #[must_use]
     pub fn is_qube(&self) -> bool {
         *self == Self::QUBE
@@ -291,8 +291,8 @@ fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error>
     within(deserializer, 1e-6..=1e3)
 }
 
-/// Reads a resistance, ohm. A motor of more than 50 ohm draws too little current to be told from a
-/// dead one, because a sample reports whole milliamperes.
+/// Reads a resistance, ohm. A motor of more than 50 ohm draws too little current to be
+/// distinguished from a dead one, because a sample reports whole milliamperes.
 fn resistance<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     within(deserializer, 1e-6..=50.0)
 }
@@ -348,7 +348,7 @@ mod tests {
     const LARGER: &str = include_str!("../../plants/furuta-130.toml");
 
     #[test]
-    fn what_is_written_reads_back_the_same() {
+    fn a_written_plant_reads_back_the_same() {
         for plant in [PlantModel::QUBE, PlantModel::parse(LARGER).unwrap()] {
             let text = toml::to_string(&plant).unwrap();
             assert_eq!(PlantModel::parse(&text).unwrap(), plant, "{text}");
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_unknown_or_impossible_is_named_with_its_line() {
+    fn a_missing_unknown_or_impossible_entry_is_named_with_its_line() {
         let with = |old: &str, new: &str| {
             assert!(LARGER.contains(old), "{old}");
             PlantModel::parse(&LARGER.replacen(old, new, 1)).unwrap_err().to_string()

@@ -3,13 +3,13 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Longest name of a plant, letters.
+/// Length of the longest name of a plant, characters.
 const LONGEST: usize = 32;
 
-/// The name of a plant: 1 to 32 letters, digits, dots, hyphens and underscores.
+/// The name of a plant: 1 to 32 ASCII letters, digits, dots, hyphens and underscores.
 ///
-/// The value contains the letters themselves and not a pointer to them, so that settings which name
-/// a plant can be copied into a tick.
+/// The value contains the characters themselves and not a pointer to them, so that settings which
+/// name a plant can be copied into a tick.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct PlantName {
@@ -25,7 +25,7 @@ impl PlantName {
         Self { letters, length: 4 }
     };
 
-    /// Whether this is the name of the built-in Qube.
+    /// Returns whether this is the name of the built-in Qube.
     #[must_use]
     pub fn is_qube(&self) -> bool {
         *self == Self::QUBE
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_is_its_letters() {
+    fn a_name_keeps_its_characters_and_others_are_refused() {
         assert_eq!(PlantName::QUBE.as_str(), "qube");
         assert_eq!(PlantName::try_from("qube".to_owned()), Ok(PlantName::QUBE));
         for name in ["", "two words", "ü", &"x".repeat(33)] {

@@ -18,7 +18,7 @@ pub struct Profile {
     /// Plant of which this is a specimen; files that name none mean the built-in Qube.
     #[serde(default, skip_serializing_if = "PlantName::is_qube")]
     pub plant: PlantName,
-    /// The nine domain parameters. In the file of a Qube, a parameter that it does not name has the
+    /// The nine domain parameters. A parameter that the file of a Qube does not name has the
     /// nominal value; the file of another plant has to name all but gravity.
     #[serde(default = "nominal", with = "named_parameters")]
     pub parameters: DomainParameters,
@@ -29,7 +29,8 @@ pub struct Profile {
     /// Standard error by quantity name, each in the unit of its quantity.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub standard_errors: BTreeMap<String, f64>,
-    /// Correlations of the errors; `None` if the file has none, which then count as 0.
+    /// Correlations of the errors; `None` if the file gives no correlations, which counts as 0 for
+    /// each.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlations: Option<Correlations>,
     /// Recordings and program that the profile was identified with.
@@ -57,7 +58,7 @@ pub struct Provenance {
     /// Serial numbers of the boards that made these recordings; empty if the files name no board.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub boards: Vec<String>,
-    /// Version of the program that fitted it.
+    /// Version of the program that fitted the profile.
     pub program_version: String,
     /// Signs that the model lacks an effect, by the names that `identify` gives them; empty if its
     /// tests found none.
@@ -143,12 +144,13 @@ impl Profile {
     /// Never: a test reads the text, which is part of the program.
     #[must_use]
     pub fn lab() -> Self {
-        Self::parse(include_str!("../../profiles/lab.toml")).expect("the profile of the program")
+        Self::parse(include_str!("../../profiles/lab.toml")).expect("the profile `lab` is valid")
     }
 
-    /// The profile of another specimen of the plant, known as well as this one. Its parameters have
-    /// standard errors that are the same fractions of the values as here, its nonidealities have
-    /// the same standard errors, and the correlations are the same.
+    /// The profile of another specimen of the plant, with the uncertainty of this profile. Its
+    /// parameters have standard errors that are the same fractions of the values as here; its
+    /// nonidealities, and its parameters that are 0 here, have the same standard errors; and the
+    /// correlations are the same.
     #[must_use]
     pub fn around(&self, name: &str, model: &QubeModel) -> Self {
         let mut other = Self { plant: self.plant, ..Self::exact(name, model) };
@@ -210,7 +212,8 @@ impl Profile {
 
     /// The largest accepted standard error of a quantity, in its unit: ten times the larger one of
     /// the parameter and the nominal Qube's, or the width of a nonideality's range. `identify`
-    /// finds at most twice the parameter; a larger error would say nothing about it.
+    /// finds at most twice the parameter; a larger error would carry no information about the
+    /// parameter.
     fn largest_standard_error(&self, quantity: Quantity) -> f64 {
         match quantity {
             Quantity::Parameter(parameter) => {
@@ -246,7 +249,7 @@ impl Profile {
         self.provenance.as_ref().map_or(&[], |provenance| &provenance.boards)
     }
 
-    /// Whether this board made each recording of which the maker is known.
+    /// Returns whether this board made each fitted recording whose board is known.
     #[must_use]
     pub fn may_be_of_board(&self, board: &str) -> bool {
         self.boards().iter().all(|maker| maker == board)
@@ -424,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn another_qube_is_known_as_well_as_the_one_whose_profile_comes_with_the_program() {
+    fn a_profile_around_another_qube_keeps_the_uncertainty() {
         let lab = Profile::lab();
         let mut model = lab.model();
         model.parameters.motor_resistance_ohm *= 2.0;

@@ -10,12 +10,12 @@ use super::{
 };
 use crate::elementary::{InstructionSet, VectorKernel};
 
-/// Sixteen Qubes side by side in `f32`, each with its own parameters, nonidealities and delay,
-/// stored as a structure of arrays. Loops over the lanes have a fixed length and no aliasing, so
-/// that they become plain vector code.
+/// Sixteen Qubes side by side in `f32`, each with its own parameters and nonidealities, stored as a
+/// structure of arrays. Loops over the lanes have a fixed length and no aliasing, so that they
+/// become plain vector code.
 ///
-/// The numbers of a lane depend only on its own start and commands, and have the same bits on every
-/// instruction set. The methods are fast only inside a [`VectorKernel`].
+/// The numbers of a lane depend only on its own Qube, start and commands, and have the same bits on
+/// every instruction set. The methods are fast only inside a [`VectorKernel`].
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct QubeLanes {
@@ -23,8 +23,9 @@ pub struct QubeLanes {
     pub state: State<Lanes>,
     dynamics: NonidealDynamics<Lanes>,
     commands: DelayLine,
-    /// Whether the Qube in each lane follows the thesis's equations: without friction, dead zone,
-    /// cable and delay. If all do, a shorter path integrates the block and gives the same bits.
+    /// True for each lane whose Qube has no Coulomb friction, dead zone, cable or delay, whatever
+    /// its parameters are. If all lanes are ideal, [`Self::advance_ideal`] may integrate the block,
+    /// on a shorter path with the same bits.
     ideal: [bool; BLOCK],
 }
 
@@ -57,8 +58,8 @@ impl QubeLanes {
     /// Puts another Qube into a lane, without any past commands.
     ///
     /// # Panics
-    /// Panics if the lane does not exist, or if the delay of the Qube is negative or longer than
-    /// [`MAX_HISTORY`] control periods.
+    /// Panics if the lane does not exist, or if the delay of the Qube is negative, longer than
+    /// [`MAX_HISTORY`] control periods, or NaN.
     pub fn restart(&mut self, lane: usize, model: &QubeModel, state: &State<f32>) {
         self.state.set_lane(lane, state);
         let nonidealities: NonidealDynamics<f32> = NonidealDynamics::new(model);
@@ -94,7 +95,7 @@ impl QubeLanes {
         self.commands.all_sent_v()
     }
 
-    /// Whether no lane has a Qube with friction, dead zone, cable or delay, so that
+    /// Returns whether no lane has a Qube with Coulomb friction, dead zone, cable or delay, so that
     /// [`Self::advance_ideal`] may integrate the block.
     #[must_use]
     #[inline(always)]
@@ -122,8 +123,9 @@ impl QubeLanes {
         self.commands.begin_period(commands_v);
     }
 
-    /// The accelerations of arm and pendulum in the present states, rad/s^2, under the voltages
-    /// that [`Self::begin_period`] found at the motors just before the period.
+    /// The accelerations of arm and pendulum in the present states, rad/s^2, under the voltages at
+    /// the motors just before the period that [`Self::begin_period`] has begun; in a lane with the
+    /// longest delay, under the voltage of this period.
     #[must_use]
     #[inline(always)]
     pub fn accelerations_before(&self) -> (Lanes, Lanes) {
@@ -160,7 +162,7 @@ impl QubeLanes {
     }
 }
 
-/// Integrates one control period of several blocks of Qubes.
+/// A kernel that integrates one control period of several blocks of Qubes.
 pub struct ControlPeriod<'a> {
     /// Blocks to integrate.
     pub qubes: &'a mut [QubeLanes],

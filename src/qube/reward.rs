@@ -12,15 +12,15 @@ use crate::elementary::Scalar;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RewardWeights<T = f64> {
-    /// Q_11, 1/rad^2.
+    /// Weight Q_11 of theta, 1/rad^2.
     pub theta: T,
-    /// Q_22, 1/rad^2.
+    /// Weight Q_22 of alpha, 1/rad^2.
     pub alpha: T,
-    /// Q_33, s^2/rad^2.
+    /// Weight Q_33 of theta_dot, s^2/rad^2.
     pub theta_dot: T,
-    /// Q_44, s^2/rad^2.
+    /// Weight Q_44 of alpha_dot, s^2/rad^2.
     pub alpha_dot: T,
-    /// R, 1/V^2.
+    /// Weight R of the voltage, 1/V^2.
     pub voltage: T,
 }
 
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn hanging_at_full_voltage_costs_as_the_formula_says() {
+    fn hanging_at_full_voltage_earns_the_reward_of_the_formula() {
         let expected = (-(PI * PI + 0.003 * 25.0)).exp();
         let earned = RewardWeights::THESIS.reward(&State::default(), 5.0);
         assert!((earned - expected).abs() < 1e-15);

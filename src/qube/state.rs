@@ -30,7 +30,7 @@ impl State {
         }
     }
 
-    /// Whether every entry is a finite number.
+    /// Returns whether every entry is a finite number.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         [self.theta, self.alpha, self.theta_dot, self.alpha_dot]
@@ -39,7 +39,7 @@ impl State {
     }
 }
 
-/// The same state in double precision.
+/// Converts a state to double precision.
 impl From<State<f32>> for State {
     fn from(state: State<f32>) -> Self {
         Self {

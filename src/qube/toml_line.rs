@@ -1,8 +1,8 @@
 use toml::de::{DeTable, DeValue};
 
 /// The line in which a TOML text gives this key its value, from 1; `None` if the text has no such
-/// key. The key is a path such as `parameters.g` or `correlations.rows[2]`; entries of a list count
-/// from 1. `is_named` tells whether a name in the text means a part of the key.
+/// key or is not TOML. The key is a path such as `parameters.g` or `correlations.rows[2]`; entries
+/// of a list count from 1. `is_named` tells whether a name in the text means a part of the key.
 pub(crate) fn line_of_key(
     text: &str,
     key: &str,

@@ -18,30 +18,30 @@ pub(super) mod topic {
     pub(crate) const SAFETY: &str = "/safety";
     pub(crate) const TRANSFORMS: &str = "/tf";
     pub(crate) const SCENE: &str = "/scene";
-    /// The last message of each tick, which completes it.
+    /// Topic of the last message of each tick, which completes the tick.
     pub(crate) const TIMING: &str = "/timing";
 }
 
 /// A channel of a recording, which live viewers get too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
-    /// Reports of the board.
+    /// Reports of the device.
     Measurement,
     /// State that the policy saw.
     State,
-    /// Voltages asked for and sent.
+    /// Voltages requested and sent.
     Command,
     /// Phase, lost samples, stop requests, and the ending.
     Safety,
     /// Frames of arm and pendulum.
     Transforms,
-    /// Deadlines and lateness; the last message of each tick, which completes it.
+    /// Deadlines and lateness, in the last message of each tick, which completes the tick.
     Timing,
     /// Bodies in the frames, once a rollout.
     Scene,
 }
 
-/// The schema of a channel's messages, as MCAP and live viewers want it.
+/// The schema of a channel's messages, in the form that MCAP and live viewers require.
 #[derive(Clone, Debug)]
 pub struct ChannelSchema {
     /// Encoding of the messages: `json` or `protobuf`.
@@ -123,7 +123,7 @@ fn json_schema<T: JsonSchema>() -> ChannelSchema {
 /// time of the tick, ns since 1970.
 ///
 /// # Errors
-/// `take` fails.
+/// A message cannot be encoded, or `take` fails.
 pub fn encode_tick(
     header: &RolloutHeader,
     tick: &TickRecord,

@@ -1,5 +1,5 @@
-//! Tests what reaches the disk: from writers that fail or are dropped, and from the recorder's
-//! thread.
+//! Tests the bytes that reach the disk, from writers that fail or are dropped, and from the
+//! recorder's thread.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -64,7 +64,7 @@ fn record_on(disk: SmallDisk, ticks: &[TickRecord]) -> Result<(), RecordingError
 }
 
 #[test]
-fn a_disk_that_is_full_at_any_byte_is_named_and_keeps_what_it_has() {
+fn a_disk_that_is_full_at_any_byte_is_named_and_keeps_its_content() {
     let ticks = ticks(25);
     let whole = recorded(&ticks).len();
     let expected = all_bits(&ticks);
@@ -103,7 +103,7 @@ fn a_writer_that_is_dropped_leaves_all_ticks_and_no_end() {
 }
 
 #[test]
-fn the_recorder_writes_what_comes_through_the_ring() {
+fn the_recorder_writes_the_ticks_that_come_through_the_ring() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let (mut producer, consumer) = rtrb::RingBuffer::new(64);
@@ -113,10 +113,17 @@ fn the_recorder_writes_what_comes_through_the_ring() {
         producer.push(tick(number)).unwrap();
     }
     assert_eq!(recorder.finish(outcome(), Vec::new()).unwrap(), path);
-    assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(33)), "same bytes as in memory");
+    assert_eq!(
+        std::fs::read(&path).unwrap(),
+        recorded(&ticks(33)),
+        "the file and the memory differ"
+    );
     let (_, consumer) = rtrb::RingBuffer::new(64);
     let again = Recorder::start(&MachineDisk, &path, header(), POLICY, consumer, Vec::new());
-    assert!(matches!(again.err(), Some(RecordingError::Create { .. })), "never overwritten");
+    assert!(
+        matches!(again.err(), Some(RecordingError::Create { .. })),
+        "a recording was overwritten"
+    );
 }
 
 /// A viewer that notes each call.
@@ -152,7 +159,7 @@ fn a_viewer_sees_the_rollout_in_order_and_changes_no_byte() {
     recorder.finish(outcome(), Vec::new()).unwrap();
     let begins = format!("nominal at {VIRTUAL_EPOCH_UNIX_NS}");
     assert_eq!(*seen.0.lock().unwrap(), [&begins, "0", "1", "2", "Some(20)"]);
-    assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(3)), "same bytes as unseen");
+    assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(3)), "the viewer changed a byte");
 }
 
 #[test]

@@ -86,7 +86,7 @@ pub enum RecordingError {
 }
 
 impl RecordingError {
-    /// Whether the file could not be read because it does not exist.
+    /// Returns whether the file could not be read because it does not exist.
     #[must_use]
     pub fn is_absence(&self) -> bool {
         matches!(self, Self::Read { source, .. } if is_absence(source))
@@ -115,7 +115,7 @@ pub enum Unreadable {
     },
     /// The recording has another format version.
     #[error(
-        "this recording has format {found}, this program reads {expected}: use the program that wrote it"
+        "this recording has format {found}; this program reads {expected}: use the program that wrote it"
     )]
     OtherFormat {
         /// Version of the file.
@@ -135,7 +135,8 @@ pub enum Unreadable {
         /// Part that is wrong, and its defect.
         reason: String,
     },
-    /// The recording was changed after it was finished; its header and its policy are intact.
+    /// The recording was changed or damaged; its header is intact, and so is its policy or at least
+    /// one tick.
     #[error(
         "this recording was changed or damaged at byte {offset}: {reason}. Its intact part can be saved"
     )]

@@ -63,7 +63,7 @@ where
     serde_json::from_value(Value::Object(fields)).map_err(MetadataDefect::Struct)
 }
 
-/// Whether the checksum of a map that [`to_map`] made fits its content.
+/// Returns whether the checksum of a map that [`to_map`] made fits its content.
 pub(super) fn is_sound(map: &BTreeMap<String, String>) -> bool {
     map.get(CHECKSUM) == Some(&checksum(map))
 }
@@ -86,7 +86,7 @@ mod tests {
     use crate::telemetry::{Preflight, RolloutHeader};
 
     #[test]
-    fn a_header_from_before_the_check_of_the_device_still_reads() {
+    fn a_header_without_a_preflight_entry_reads_as_unknown() {
         let mut map = to_map(&header()).unwrap();
         map.remove("preflight").unwrap();
         map.insert(CHECKSUM.to_owned(), checksum(&map));

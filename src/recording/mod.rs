@@ -4,13 +4,14 @@
 //! every tick (five channels of flat JSON; for 3-D viewers a channel of frames as Protocol
 //! Buffers), the bodies that these viewers draw (one message), after a fault the ticks of the last
 //! second once more (an attachment), and its ending (metadata). A rollout can be replayed from its
-//! own file alone, and [`read`] returns bit for bit what was recorded.
+//! own file alone, and [`read`] returns the recorded data bit for bit.
 //!
-//! Metadata and policy come first, then a block that declares the channels. Ticks follow in blocks
-//! of a tenth of a second. Each block is compressed and checksummed, and the writer hands it to the
-//! operating system as a whole, so a killed process loses at most the last quarter of a second. A
-//! file that ended properly closes with its outcome, an index and checksums over every byte: a
-//! truncated file is never taken for a complete one, and any changed byte is found.
+//! Metadata and policy come first, then a block (a chunk, in the words of MCAP) that declares the
+//! channels. Ticks follow in blocks of at most a tenth of a second. Each block is compressed and
+//! checksummed, and the writer hands it to the operating system as a whole, so a killed process
+//! loses at most the last quarter of a second. A file that ended properly closes with its outcome,
+//! an index and checksums over every byte: a truncated file is never taken for a complete one, and
+//! any changed byte is found.
 //!
 //! The room may import `telemetry`, `qube` and `storage`.
 //!

@@ -3,9 +3,9 @@ use std::fmt::Write as _;
 /// The numbers of one message that JSON cannot represent (NaN of any kind, infinities), kept by
 /// name and bits in one text beside the message's fields: `wanted_v=7ff8000000000000 ...`.
 ///
-/// Such numbers appear in the very tick in which something fails, so they must not be lost. A
-/// string in the field itself would violate the schema, which demands a `number`; `null` alone
-/// would not tell NaN from an infinity.
+/// Such numbers appear in the tick in which something fails, so they must not be lost. A string in
+/// the field itself would violate the schema, which requires a `number`; `null` alone would not
+/// distinguish NaN from an infinity.
 #[derive(Debug, Default)]
 pub(super) struct NotFinite {
     text: String,

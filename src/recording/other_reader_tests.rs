@@ -10,7 +10,7 @@ use super::{Completeness, LAST_TICKS_ATTACHMENT, RolloutWriter, VIRTUAL_EPOCH_UN
 
 /// Tests that other readers find all checksums, the index, the schemas and the attachment.
 #[test]
-fn it_is_an_mcap_file_for_others() {
+fn a_recording_is_an_mcap_file_for_other_readers() {
     let ticks = ticks(25);
     let bytes = recorded(&ticks);
     let mut reader = mcap::sans_io::LinearReader::new_with_options(
@@ -50,7 +50,7 @@ fn it_is_an_mcap_file_for_others() {
             match message.channel.topic.as_str() {
                 "/tf" => frames += list(&decoded, "transforms").len(),
                 "/scene" => bodies += list(&decoded, "entities").len(),
-                other => panic!("{other}"),
+                other => panic!("{other} is no topic of a drawing"),
             }
             continue;
         }
@@ -140,7 +140,7 @@ fn times_of_a_virtual_clock_count_from_a_named_date() {
 
 /// Checks a value against a schema of the types that viewers support: one plain type a field.
 fn assert_fits(value: &serde_json::Value, schema: &serde_json::Value) {
-    let kind = schema["type"].as_str().unwrap_or_else(|| panic!("no plain type in {schema}"));
+    let kind = schema["type"].as_str().unwrap_or_else(|| panic!("{schema} has no plain type"));
     match kind {
         "object" => {
             for required in schema["required"].as_array().into_iter().flatten() {
@@ -159,7 +159,7 @@ fn assert_fits(value: &serde_json::Value, schema: &serde_json::Value) {
         "integer" => assert!(value.is_i64() || value.is_u64()),
         "boolean" => assert!(value.is_boolean()),
         "string" => assert!(value.is_string()),
-        other => panic!("type {other}"),
+        other => panic!("viewers do not support the type {other}"),
     }
 }
 

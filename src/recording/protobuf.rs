@@ -2,7 +2,8 @@
 
 use crate::storage::ProtobufMessage;
 
-/// A message that grows field by field. A field with its default value is left out, as proto3 asks.
+/// A message that grows field by field. A field with its default value is left out, as proto3
+/// requires.
 #[derive(Debug, Default)]
 pub(super) struct Message(ProtobufMessage);
 

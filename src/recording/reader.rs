@@ -22,7 +22,7 @@ pub struct Recording {
     pub ticks: Vec<TickRecord>,
     /// Outcome; `None` if the recording was truncated before the outcome, or recovered without it.
     pub outcome: Option<RolloutOutcome>,
-    /// Whether parts of the file are missing.
+    /// State of the file: whole, truncated, or recovered.
     pub completeness: Completeness,
 }
 
@@ -34,8 +34,8 @@ pub enum Completeness {
     /// The file was truncated: the program that wrote it was killed, the disk was full, or power
     /// failed.
     CutOff {
-        /// Number of bytes in the file that could not be used; the index, which repeats what the
-        /// data hold, does not count.
+        /// Number of bytes in the file that could not be used. The index does not count, because it
+        /// only repeats information from the data.
         lost_bytes: u64,
         /// Position and reason of the first defect.
         reason: String,
@@ -45,8 +45,8 @@ pub enum Completeness {
 }
 
 impl Recording {
-    /// Whether ticks are missing before or between the recorded ones, because the recorder lost
-    /// them or a block is damaged.
+    /// Returns whether ticks are missing before or between the recorded ones, because the recorder
+    /// lost them or a block is damaged.
     #[must_use]
     pub fn lacks_ticks(&self) -> bool {
         self.ticks.windows(2).any(|pair| pair[1].tick != pair[0].tick.wrapping_add(1))
@@ -73,8 +73,8 @@ impl Recording {
             let missing = self.missing_ticks();
             return Some(format!("lacks {missing} of the first {before} ticks of its rollout"));
         }
-        let unended = self.outcome.is_none();
-        unended.then(|| format!("ends after {ticks} ticks, and how its rollout ended is not known"))
+        let unknown = self.outcome.is_none();
+        unknown.then(|| format!("ends after {ticks} ticks, and how its rollout ended is not known"))
     }
 }
 
@@ -82,8 +82,8 @@ impl Recording {
 /// its intact part.
 ///
 /// # Errors
-/// The file cannot be read or is too large, is not a recording of this format, was truncated before
-/// its header and policy were complete, or was changed after it was finished.
+/// The file cannot be read or is too large, is not a recording of this format, has no intact header
+/// or no intact policy, or was changed after it was finished.
 pub fn read(path: &Path) -> Result<Recording, RecordingError> {
     read_on(&MachineDisk, path)
 }
@@ -91,7 +91,7 @@ pub fn read(path: &Path) -> Result<Recording, RecordingError> {
 /// Reads a recording like [`read`], from any disk.
 ///
 /// # Errors
-/// The same as those of [`read`].
+/// The errors of [`read`].
 pub fn read_on(disk: &dyn Disk, path: &Path) -> Result<Recording, RecordingError> {
     let bytes = read_bytes(disk, path)?;
     parse(&bytes).map_err(|why| RecordingError::Unreadable { path: path.to_owned(), why })
@@ -107,8 +107,8 @@ pub(super) fn read_bytes(disk: &dyn Disk, path: &Path) -> Result<Vec<u8>, Record
 /// memory in use stays within a few times the limit of a file, and nothing in them is executed.
 ///
 /// # Errors
-/// The bytes are too many, are not a recording of this format, were truncated before header and
-/// policy were complete, or were changed after the recording was finished.
+/// The bytes are too many, are not a recording of this format, have no intact header or no intact
+/// policy, or were changed after the recording was finished.
 pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     let scan = checked_scan(bytes)?;
     let damage = scan.damage.as_ref().map(damaged);
@@ -119,12 +119,12 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, Unreadable> {
     }
 }
 
-/// The error for a damage after which an intact part is left.
+/// The error for damage that leaves an intact part.
 fn damaged(Damage { offset, reason }: &Damage) -> Unreadable {
     Unreadable::Damaged { offset: *offset as u64, reason: reason.to_string() }
 }
 
-/// Whether a file begins as every recording does.
+/// Returns whether a file begins with MCAP's magic bytes, as every recording does.
 ///
 /// # Errors
 /// The file cannot be read.
@@ -134,7 +134,7 @@ pub fn is_recording(path: &Path) -> io::Result<bool> {
     Ok(start == MAGIC)
 }
 
-/// Whether the bytes end with the mark that only a finished recording has at its end.
+/// Returns whether the bytes end with MCAP's magic bytes, as only a finished recording does.
 fn is_finished(bytes: &[u8]) -> bool {
     bytes.len() > MAGIC.len() && bytes.ends_with(MAGIC)
 }

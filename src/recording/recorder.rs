@@ -15,10 +15,12 @@ use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
 const POLL: Duration = Duration::from_millis(10);
 
 /// Longest time that a tick waits for its block to fill, in real time. Together with [`POLL`] and
-/// the writing, the time stays well below the 250 ms that the room's page promises.
+/// the writing, this time stays well below the 250 ms that the documentation of the module
+/// promises.
 const OLDEST_UNFLUSHED: Duration = Duration::from_millis(120);
 
-/// The thread that takes ticks from the control thread's ring buffer and writes them to the file.
+/// A handle of the thread that takes ticks from the control thread's ring buffer and writes them to
+/// the file.
 ///
 /// The control thread never waits for the recorder: while the disk stalls, ticks wait in the ring;
 /// when writing fails, the recorder keeps emptying the ring and reports the failure at the end.
@@ -83,19 +85,21 @@ impl Recorder {
         Ok(Self { path: path.to_owned(), outcome: Some(sender), failed, thread: Some(thread) })
     }
 
-    /// Whether writing has failed: the rollout may continue, but its recording is truncated.
+    /// Returns whether writing has failed: the rollout may continue, but its recording is
+    /// truncated.
     #[must_use]
     pub fn has_failed(&self) -> bool {
         self.failed.load(Ordering::Relaxed)
     }
 
-    /// Writes the ticks that are left in the ring, `last_ticks` (those of the last second before a
-    /// fault; empty without a fault) and the outcome, closes the file, and returns its path once
-    /// the file would survive a loss of power. The control thread must push no more ticks.
+    /// Writes the ticks that are left in the ring, `last_ticks` (the ticks of the last second
+    /// before a fault; empty without a fault) and the outcome, closes the file, and returns its
+    /// path once the file would survive a loss of power. The control thread must push no more
+    /// ticks.
     ///
     /// # Errors
-    /// A write of this recording failed, now or at any earlier tick; the outcome holds a number
-    /// that is not finite; or the thread ended unexpectedly.
+    /// A write of this recording failed, now or at any earlier tick; the outcome would not read
+    /// back unchanged, as with a number that is not finite; or the thread ended unexpectedly.
     pub fn finish(
         mut self,
         outcome: RolloutOutcome,
@@ -249,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_never_stops_the_ring_and_is_told_at_the_end() {
+    fn a_full_disk_never_stops_the_ring_and_is_reported_at_the_end() {
         let path = Path::new("full.mcap");
         let disk = FullDisk { writes_left: 1 };
         let writer = RolloutWriter::begin(disk, path, header(), POLICY).unwrap();

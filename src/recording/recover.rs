@@ -23,7 +23,7 @@ pub enum Recovered {
         missing_ticks: usize,
         /// Number of bytes of the old file that could not be used; its index does not count.
         lost_bytes: u64,
-        /// Whether the outcome was saved.
+        /// True if the outcome was saved.
         has_outcome: bool,
     },
 }
@@ -33,9 +33,9 @@ pub enum Recovered {
 /// is missing or damaged is replaced by an empty one.
 ///
 /// # Errors
-/// The old file cannot be read, its header is missing or damaged, or neither policy nor tick is
-/// intact; or the new file exists already and stays as it is; or the new file cannot be written,
-/// and nothing remains of it.
+/// The old file cannot be read or is not a recording of this format, its header is missing or
+/// damaged, or neither policy nor tick is intact; or the new file exists already and stays as it
+/// is; or the new file cannot be written, and nothing remains of it.
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(disk, damaged)?;
@@ -112,7 +112,8 @@ mod tests {
         let recording = read(&saved).unwrap();
         assert_eq!(recording.completeness, Completeness::Recovered);
         assert!(recording.lacks_ticks());
-        // What the first recovery lacks is still lost when its own end is cut off and recovered.
+        // The ticks that the first recovery lacks are missing in a second recovery, too, which
+        // starts from a truncated copy of the first.
         let (cut, again) = (directory.path().join("c.mcap"), directory.path().join("d.mcap"));
         let whole = std::fs::read(&saved).unwrap();
         std::fs::write(&cut, &whole[..whole.len() - 100]).unwrap();
@@ -309,7 +310,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
         let mut bytes = recorded(&ticks(20));
-        // The header is the first one.
+        // The first checksum belongs to the header.
         let key = find_all(&bytes, b"crc32")[0];
         damage_checksum(&mut bytes, key);
         std::fs::write(&damaged, &bytes).unwrap();

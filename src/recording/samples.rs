@@ -67,8 +67,8 @@ pub(crate) fn outcome() -> RolloutOutcome {
     }
 }
 
-/// A tick of this number. Its optional fields have values, except in every seventh tick, which has
-/// no sample, and the time from sample to act in tick 0.
+/// Returns the tick with this number. Its optional fields have values, with two exceptions: every
+/// seventh tick has no sample and no requested voltage, and tick 0 has no time from sample to act.
 pub(crate) fn tick(number: u32) -> TickRecord {
     let time_s = f64::from(number) * 0.01;
     let held_over = number % 7 == 3;

@@ -19,7 +19,7 @@ const MAX_BLOCK_BYTES: u64 = 1 << 22;
 /// a hostile file from exhausting memory.
 const MAX_TICKS: usize = 1_080_000;
 
-/// Largest size of a metadata record, bytes; those of this program have a few kB.
+/// Largest size of a metadata record, bytes; the records of this program have a few kB.
 const MAX_METADATA_BYTES: usize = 1 << 20;
 
 /// Largest size of an attachment, bytes (16 MiB): twice the largest policy file that this program
@@ -42,10 +42,10 @@ pub(super) struct Scan {
     /// First defect of a record. Later ones are not kept, because a hostile file may have millions.
     /// If the file ends between two records, only `closed` shows that its end is missing.
     pub(super) damage: Option<Damage>,
-    /// Number of bytes that could not be used, without those of the index, which repeats what the
-    /// data hold.
+    /// Number of bytes that could not be used. The index does not count, because it only repeats
+    /// information from the data.
     pub(super) lost_bytes: u64,
-    /// Whether the file ends with a footer and the magic bytes, as a finished file does.
+    /// True if the file ends with a footer and the magic bytes, as a finished file does.
     pub(super) closed: bool,
     channels: HashMap<u16, Topic>,
 }
@@ -147,8 +147,8 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
             continue;
         };
         match record.opcode {
-            // A file has one such record. If each of many had its checksum tested, the time would
-            // grow with the square of the file.
+            // A file has one such record. A test of the checksums of many such records would take a
+            // time that grows with the square of the file's size.
             opcode::DATA_END if summary_start.is_none() && record.body.len() == 4 => {
                 let stored = Fields(record.body).u32();
                 if stored != Some(CRC_32.checksum(&bytes[..offset])) {
@@ -164,7 +164,7 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
             _ if summary_start.is_some() => {}
             _ => {
                 if let Err(reason) = scan.record(&record) {
-                    // Where the length is damaged too, no record begins at its end.
+                    // If the length of this record is damaged too, no record begins at its end.
                     let end = match begins_record(bytes, record.end()) {
                         true => record.end(),
                         false => next_after(offset, next_record).unwrap_or(bytes.len()),
@@ -180,7 +180,8 @@ pub(super) fn scan(bytes: &[u8]) -> Scan {
     scan
 }
 
-/// Whether a record of a kind that this program writes begins here, and ends within the file.
+/// Returns whether the footer, or a record of a kind that this program writes between the header of
+/// the file and the index, begins at `offset` and ends within the file.
 fn begins_record(bytes: &[u8], offset: usize) -> bool {
     const KINDS: [u8; 6] = [
         opcode::CHUNK,
@@ -203,8 +204,9 @@ fn next_record(bytes: &[u8], from: usize) -> Option<usize> {
     next_block(bytes, from).or_else(|| (from..bytes.len()).find(is_followed))
 }
 
-/// The offset of the first block from `from` on: its kind stands 41 bytes before the name of its
-/// compression, after length, times, size and checksum.
+/// The offset of the first block from `from` on. The byte with a block's kind lies 41 bytes before
+/// the name of its compression; between them are length, times, size, checksum, and the length of
+/// the name.
 fn next_block(bytes: &[u8], from: usize) -> Option<usize> {
     const NAMED: [u8; 7] = [3, 0, 0, 0, b'l', b'z', b'4'];
     const BEFORE: usize = FRAME_BYTES + 28;
@@ -218,7 +220,7 @@ fn next_block(bytes: &[u8], from: usize) -> Option<usize> {
 }
 
 impl Scan {
-    /// Position and reason of the first defect; `None` if the file is as it was finished.
+    /// Position and reason of the first defect; `None` if the file is complete and has no defect.
     pub(super) fn first_damage(&self) -> Option<String> {
         match &self.damage {
             Some(damage) => Some(format!("at byte {}: {}", damage.offset, damage.reason)),
@@ -259,7 +261,8 @@ impl Scan {
                 let (Some(name), Some(map)) = (fields.text(), fields.map()) else {
                     return Err(ScanDefect::Metadata);
                 };
-                // A damaged header is kept: the reader names its defect, and cannot do without it.
+                // A damaged header is kept: the reader cannot use the recording without a header,
+                // and names its defect.
                 if name == metadata::OUTCOME && !metadata::is_sound(&map) {
                     return Err(ScanDefect::MetadataChecksum { name: metadata::OUTCOME });
                 }
@@ -268,8 +271,8 @@ impl Scan {
                 }
                 Ok(())
             }
-            // The message indexes repeat what the blocks contain, so they are not read. One that
-            // contains a block has a damaged length.
+            // The message indexes repeat the content of the blocks, so they are not read. A message
+            // index in which a block begins has a damaged length.
             opcode::HEADER | opcode::MESSAGE_INDEX if next_block(record.body, 0).is_none() => {
                 Ok(())
             }
@@ -353,7 +356,7 @@ impl Scan {
     }
 }
 
-/// Whether the checksum in a footer fits the index between `start` and the footer.
+/// Returns whether the checksum in a footer fits the index between `start` and the footer.
 fn is_index_sound(bytes: &[u8], footer: &Frame<'_>, start: Option<usize>) -> bool {
     // The checksum covers the index, and the footer up to the checksum's own place.
     let covered = FRAME_BYTES + 16;

@@ -11,7 +11,7 @@ use crate::qube::{PlantModel, State};
 // hangs, and positive alpha swings it in the direction of positive theta.
 
 /// A schema of Foxglove as recordings contain it: its name and its serialised `FileDescriptorSet`.
-/// The files are those of the package `foxglove` 0.30.3 (MIT, `foxglove/LICENSE`).
+/// The files come from the package `foxglove` 0.30.3 (MIT, `foxglove/LICENSE`).
 pub(super) struct Schema {
     pub(super) name: &'static str,
     pub(super) descriptors: &'static [u8],
@@ -66,7 +66,7 @@ struct Cube {
     color: Color,
 }
 
-/// A body. It has the name of the frame that it is fixed to.
+/// A body with the name of the frame that it is fixed to.
 struct Entity {
     frame_id: &'static str,
     cube: Cube,
@@ -78,7 +78,7 @@ pub(super) struct SceneUpdate {
     entities: [Entity; 3],
 }
 
-/// The rotation by no angle.
+/// The rotation by 0 rad.
 const IDENTITY: Quaternion = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
 
 fn time(time_ns: u64) -> Message {

@@ -185,7 +185,7 @@ fn a_changed_byte_in_a_cut_off_recording_never_changes_a_tick() {
 }
 
 #[test]
-fn other_files_are_named() {
+fn files_of_other_kinds_are_refused_with_the_reason() {
     assert_eq!(parse(b"theta_rad,alpha_rad"), Err(Unreadable::NotMcap));
     assert_eq!(parse(b""), Err(Unreadable::CutOffAtStart));
     let mut foreign = io::Cursor::new(Vec::new());
@@ -210,7 +210,7 @@ fn a_damaged_format_number_is_damage_and_no_newer_format() {
     assert!(why.to_string().contains("the metadata `rollout`: its checksum does not fit"), "{why}");
 }
 
-/// Does not end within hours if each of the records costs a checksum over the whole file.
+/// Takes hours if the scan computes a checksum over the whole file for each of the records.
 #[test]
 fn a_file_with_a_million_ends_of_its_data_is_read() {
     let mut bytes = recorded(&ticks(12));
@@ -249,7 +249,9 @@ fn a_block_that_unpacks_to_gigabytes_is_refused() {
         bytes.extend(&chunk);
         let recording = parse(&bytes).unwrap();
         assert!(recording.ticks.is_empty());
-        let Completeness::CutOff { reason, .. } = recording.completeness else { panic!() };
+        let Completeness::CutOff { reason, .. } = recording.completeness else {
+            panic!("the recording is not cut off");
+        };
         assert!(reason.contains("block"), "{reason}");
     }
 }
@@ -260,7 +262,7 @@ fn a_header_that_would_not_come_back_is_refused() {
     header.psi.insert("mu_M_p".to_owned(), f64::NAN);
     let result = RolloutWriter::begin(Vec::new(), Path::new("memory"), header.clone(), POLICY);
     assert!(matches!(result.err(), Some(RecordingError::UnreadableRecord { .. })));
-    // It leaves no file, which would be in the way of the next recording.
+    // A refused header leaves no file, which would be in the way of the next recording.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("rollout.mcap");
     let result = RolloutWriter::create(&MachineDisk, &path, header, POLICY);

@@ -42,11 +42,11 @@ pub(super) fn frame(bytes: &[u8], offset: usize) -> Option<Frame<'_>> {
     Some(Frame { offset, opcode, body: rest.get(..length)? })
 }
 
-/// Reads the fields of a record one after the other. A method returns `None` where the bytes end
-/// before the field does, or where a text is not UTF-8.
+/// A reader of the fields of a record, one after the other. A method returns `None` if the bytes
+/// end before the field does, or if a text is not UTF-8.
 ///
-/// This reader exists because those of the `mcap` crate trust lengths in places: they allocate or
-/// index by a length that a hostile file chooses. This reader accepts files of any origin.
+/// This reader accepts files of any origin. The readers of the `mcap` crate trust some lengths:
+/// they allocate or index by a length that a hostile file chooses.
 pub(super) struct Fields<'a>(pub(super) &'a [u8]);
 
 impl<'a> Fields<'a> {
@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_checksum_is_the_usual_one() {
+    fn the_checksum_has_the_published_check_value() {
         assert_eq!(CRC_32.checksum(b"123456789"), 0xcbf4_3926);
     }
 

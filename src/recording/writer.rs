@@ -13,8 +13,9 @@ use super::{
 use crate::storage::{Disk, DiskFile, Existing, sync_name};
 use crate::telemetry::{Ending, RolloutHeader, RolloutOutcome, TickRecord};
 
-/// Number of ticks in a block: a tenth of a second. The size is a number of ticks rather than a
-/// time, so that the bytes of a simulated rollout do not depend on the speed of the simulation.
+/// Number of ticks that fill a block: a tenth of a second. The size is a number of ticks rather
+/// than a time, so that the bytes of a simulated rollout do not depend on the speed of the
+/// simulation.
 const TICKS_PER_BLOCK: u32 = 10;
 
 /// The destination of a recording's bytes: a file, or memory.
@@ -46,8 +47,8 @@ type Mcap<W> = mcap::Writer<NoSeek<BufWriter<W>>>;
 /// [`finish`](Self::finish) leaves a truncated recording with every tick it received.
 pub struct RolloutWriter<W: Sink> {
     path: PathBuf,
-    /// `None` once the recording is finished. It is taken out before the drop, because dropping an
-    /// `mcap::Writer` would close the file as if the recording were complete.
+    /// Writer of the MCAP file; `None` once the recording is closed. [`Drop`] takes it apart,
+    /// because dropping an `mcap::Writer` would close the file as if the recording were complete.
     mcap: Option<Mcap<W>>,
     /// Numbers of the channels in the file, in the order of [`Channel::ALL`].
     channels: [u16; Channel::ALL.len()],
@@ -64,15 +65,16 @@ impl RolloutWriter<Box<dyn DiskFile>> {
     /// first tick is identifiable. `policy` are the bytes of the policy file.
     ///
     /// # Errors
-    /// The file exists or cannot be written, or the header holds a number that is not finite.
+    /// The file exists or cannot be written, or the header would not read back unchanged, as with a
+    /// number that is not finite.
     pub fn create(
         disk: &dyn Disk,
         path: &Path,
         header: RolloutHeader,
         policy: &[u8],
     ) -> Result<Self, RecordingError> {
-        // A header that cannot be written leaves no file, which would be in the way of the next
-        // one.
+        // The header is converted before the file is created: a header that cannot be written
+        // leaves no file in the way of the next recording.
         let fields = header_fields(path, &header)?;
         let file = disk
             .create(path, Existing::Refuse)
@@ -89,7 +91,8 @@ impl<W: Sink> RolloutWriter<W> {
     /// appears in errors.
     ///
     /// # Errors
-    /// The sink fails, or the header holds a number that is not finite.
+    /// The sink fails, or the header would not read back unchanged, as with a number that is not
+    /// finite.
     pub fn begin(
         sink: W,
         path: &Path,
@@ -118,7 +121,7 @@ impl<W: Sink> RolloutWriter<W> {
         fields: BTreeMap<String, String>,
         policy: &[u8],
     ) -> Result<Self, McapError> {
-        // A seeking writer corrects a chunk's header after it has written the content, and a kill
+        // A seeking writer corrects a block's header after it has written the content, and a kill
         // in between leaves an invalid file. Without seeking, each block is written as a whole.
         let mut mcap = WriteOptions::new()
             .compression(Some(Compression::Lz4))
@@ -196,7 +199,7 @@ impl<W: Sink> RolloutWriter<W> {
         self.close_block().map_err(|error| RecordingError::write(&self.path, io_error(error)))
     }
 
-    /// Whether ticks wait for their block to fill.
+    /// Returns whether ticks wait for their block to fill.
     #[must_use]
     pub fn has_open_block(&self) -> bool {
         self.ticks_in_block > 0
@@ -216,7 +219,8 @@ impl<W: Sink> RolloutWriter<W> {
         self.attach_last_lines(lines)
     }
 
-    /// Attaches the last ticks before a fault as the lines that another recording has of them.
+    /// Attaches the last ticks before a fault, given as the lines of the attachment of another
+    /// recording.
     pub(super) fn attach_last_lines(&mut self, lines: Vec<u8>) -> Result<(), RecordingError> {
         self.try_attach(lines).map_err(|error| RecordingError::write(&self.path, io_error(error)))
     }
@@ -237,8 +241,8 @@ impl<W: Sink> RolloutWriter<W> {
     /// loss of power, and returns the sink.
     ///
     /// # Errors
-    /// The sink fails, or the outcome holds a number that is not finite; the recording is then
-    /// truncated.
+    /// The sink fails, or the outcome would not read back unchanged, as with a number that is not
+    /// finite; the recording is then truncated.
     pub fn finish(self, outcome: &RolloutOutcome) -> Result<W, RecordingError> {
         self.close(Some(outcome), None)
     }
@@ -313,7 +317,8 @@ impl<W: Sink> Drop for RolloutWriter<W> {
     }
 }
 
-/// The fields of the metadata record of a header; an error if it holds a number that is not finite.
+/// The fields of the metadata record of a header; an error if the header would not read back
+/// unchanged.
 fn header_fields(
     path: &Path,
     header: &RolloutHeader,
@@ -341,8 +346,8 @@ pub(super) fn start_unix_ns(header: &RolloutHeader) -> u64 {
     header.started_unix_ns.unwrap_or(VIRTUAL_EPOCH_UNIX_NS)
 }
 
-/// The fields of the metadata record that tells readers of any program which clock gave the file's
-/// times.
+/// The fields of the metadata record `clock`: the clock of the file's times, and the time from
+/// which they count. Programs that do not know this program's header can read them.
 fn clock_fields(header: &RolloutHeader) -> BTreeMap<String, String> {
     let clock = if header.started_unix_ns.is_some() { "wall" } else { "virtual" };
     let epoch_unix_ns = start_unix_ns(header).to_string();

@@ -49,7 +49,7 @@ pub enum CsvError {
         /// Text of the field.
         text: String,
     },
-    /// A voltage exceeds the range of a table that this program exported.
+    /// A voltage is larger than any that this program writes into a table.
     #[error(
         "line {line}: `{text}` in column `{column}` is no voltage that this program writes: give at most {largest} \
          {unit} of either sign"
@@ -74,7 +74,7 @@ pub enum CsvError {
         /// Name of a required column that the row lacks.
         column: &'static str,
     },
-    /// The table has fewer than two rows.
+    /// The table has fewer than two rows that are used.
     #[error("there are {rows} rows of numbers; a motion needs at least two")]
     TooFewRows {
         /// Number of rows.
@@ -103,11 +103,11 @@ pub enum CsvError {
 /// Reads the samples of a table with a header line. The voltage of the last row may be empty,
 /// because no motion follows it; it is then 0 V. Times count from the first sample.
 ///
-/// A table with the column `phase` is a table of ticks. As of a recording, only the ticks under the
-/// policy that have a sample are used ([`APPLIED`] lists the columns that show whether a tick has
-/// one), with the voltage as the motor driver applies it. Where the table also has the board's
-/// report, angles come from the encoders and times from the device's clock, as in the motion of a
-/// recording.
+/// A table with the column `phase` is a table of ticks. From such a table, as from a recording,
+/// only the ticks under the policy that have a sample are used ([`APPLIED`] lists the columns that
+/// show whether a tick has one). Their voltages are converted by [`applied_voltage_mv`] to the
+/// voltages that the motor driver applies. If the table also has the board's report, angles come
+/// from the encoders and times from the device's clock, as in the motion of a recording.
 pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     // Some programs put a byte-order mark before the text.
     let text = text.trim_start_matches('\u{feff}');
@@ -155,7 +155,8 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     if samples.len() < 2 {
         return Err(CsvError::TooFewRows { rows: samples.len() });
     }
-    // A time since 1970 has no digits left for the microseconds by which a fit moves the delay.
+    // Numbers as large as times since 1970 cannot resolve the microseconds by which a fit changes
+    // the delay.
     let start_s = samples[0].time_s;
     for sample in &mut samples {
         sample.time_s -= start_s;
@@ -270,7 +271,7 @@ struct VoltageColumn {
     unit: &'static str,
 }
 
-/// The columns that tell whether a tick has a sample: first the column of `qube-hil export`, then
+/// The columns that show whether a tick has a sample: first the column of `qube-hil export`, then
 /// the column of recordings in Python.
 const APPLIED: [VoltageColumn; 2] = [
     VoltageColumn { name: column::APPLIED_MV, largest: 32_767.0, unit: "mV" },
@@ -281,7 +282,8 @@ const COMMANDED: VoltageColumn =
     VoltageColumn { name: column::VOLTAGE_V, largest: 32.767, unit: "V" };
 
 impl VoltageColumn {
-    /// Whether a row has a voltage in a column of this kind. Python writes NaN where there is none.
+    /// Returns whether a row has a voltage in a column of this kind. Python writes NaN if there is
+    /// no voltage.
     fn is_in(self, row: &Row<'_>, column: Column) -> Result<bool, CsvError> {
         let text = row.text(column);
         if text.is_empty() || text.eq_ignore_ascii_case("nan") {
@@ -322,7 +324,7 @@ impl TickColumns {
         Some(Self { phase, applied, reported: ReportColumns::of(header) })
     }
 
-    /// Whether a row has a sample of a tick in which the policy has the motor.
+    /// Returns whether a row has a sample of a tick in which the policy drives the motor.
     fn is_of_policy(&self, row: &Row<'_>) -> Result<bool, CsvError> {
         let phase = row.phase(self.phase)?;
         let has_sample =
@@ -359,7 +361,7 @@ impl ReportColumns {
         })
     }
 
-    /// Replaces the angles of a sample by those of the encoders, and returns the device's time, us.
+    /// Replaces the angles of a sample by the encoders' angles, and returns the device's time, us.
     fn replace(&self, row: &Row<'_>, sample: &mut MotionSample) -> Result<u64, CsvError> {
         sample.state.theta = row.number(self.theta)?;
         let counted = row.number(self.alpha)?;
@@ -384,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_columns_in_any_order_with_strangers_between() {
+    fn columns_may_have_any_order_and_other_columns_are_ignored() {
         let text = "\u{feff}voltage_v, note, alpha_dot_rad_s,theta_dot_rad_s,alpha_rad,theta_rad,time_s\r\n\
                     5,x,4,3,2,1,0\r\n\r\n,y,8,7,6,5,0.5\r\n";
         let samples = parse_csv(text).unwrap();
@@ -448,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn phases_count_without_applied_voltages_and_no_table_has_impossible_ones() {
+    fn phases_count_without_applied_voltages_and_impossible_voltages_are_refused() {
         let ticks = |first: &str| {
             parse_csv(&format!(
                 "phase,{HEADER}settling,0.00,1,0,0,0,0.1\n{first}\n1,0.02,3,0,0,0,0.1\n"

@@ -19,7 +19,7 @@ const MAX_FILE_BYTES: u64 = 1 << 28;
 pub struct MotionLog {
     /// At least two samples with increasing times.
     pub samples: Vec<MotionSample>,
-    /// Plant whose motion this is.
+    /// Plant that made the motion.
     pub plant: PlantModel,
 }
 
@@ -28,9 +28,11 @@ pub struct MotionLog {
 pub struct RecordedMotion {
     /// The motion.
     pub log: MotionLog,
-    /// Reason why a recording holds only a part of its rollout; `None` if it holds the whole.
+    /// Reason why a recording holds only a part of its rollout; `None` if it holds the whole, and
+    /// for a CSV file.
     pub incomplete: Option<Incomplete>,
-    /// Serial number of the board that made a recording; `None` for a CSV file.
+    /// Serial number of the board that made a recording; `None` if its header names none, and for a
+    /// CSV file.
     pub board: Option<String>,
 }
 
@@ -55,8 +57,8 @@ pub enum Incomplete {
 }
 
 impl Incomplete {
-    /// The reason why this recording is incomplete; `None` if it holds the whole rollout, also
-    /// where only the end of the file is damaged.
+    /// The reason why this recording is incomplete; `None` if it holds the whole rollout, even if
+    /// the end of the file is damaged.
     #[must_use]
     pub fn of(recording: &Recording) -> Option<Self> {
         let Some(outcome) = &recording.outcome else { return Some(Self::Cut) };
@@ -88,7 +90,7 @@ pub enum MotionLogError {
     /// The MCAP file is not a recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The recording has fewer than two samples from the time in which the policy had the motor.
+    /// The recording has fewer than two samples under the policy.
     #[error(
         "{path}: the recording has fewer than two samples under the policy, so it has no motion that can be used: give another recording"
     )]
@@ -123,9 +125,10 @@ impl MotionLog {
     /// # Errors
     /// The file cannot be read or holds no motion.
     pub fn read_of(path: &Path, plant: &PlantModel) -> Result<RecordedMotion, MotionLogError> {
-        // A file of this name that is cut off in its first bytes is no table of numbers either.
-        let is_named_so = path.extension().is_some_and(|ending| ending == "mcap");
-        if is_recording(path).map_err(|source| read_error(path, source))? || is_named_so {
+        // A file whose name ends in `mcap` is read as a recording even if it was cut off within its
+        // first bytes: it is no table either.
+        let has_name_of_recording = path.extension().is_some_and(|ending| ending == "mcap");
+        if is_recording(path).map_err(|source| read_error(path, source))? || has_name_of_recording {
             let recording = recording::read(path)?;
             let log = Self::of_recording(&recording)
                 .ok_or_else(|| MotionLogError::NeverRan { path: path.to_owned() })?;
@@ -140,14 +143,15 @@ impl MotionLog {
         Ok(RecordedMotion { log, incomplete: None, board: None })
     }
 
-    /// The motion while the policy had the motor, with times by the device's clock; `None` with
-    /// fewer than two samples. The angles are those of the encoders, because the policy may have
-    /// seen predicted ones; the velocities are those that the policy saw.
+    /// The motion while the policy drove the motor, with times by the device's clock; `None` with
+    /// fewer than two samples. The angles come from the encoders, because the policy may have seen
+    /// predicted angles; the velocities come from the state that the policy saw.
     ///
-    /// The voltages are those that the motor driver applied, in steps of about 24 mV
-    /// ([`applied_voltage_mv`]); the wire asks for these steps from the board of every plant
-    /// (PROTOCOL.md, section 7). Commanded voltages would not do: the rounding of a command lasts
-    /// until the next command, and over seconds its effect on the arm exceeds an encoder count.
+    /// The voltages are the applied ones, in the motor driver's steps of about 24 mV
+    /// ([`applied_voltage_mv`]); the protocol requires these steps from the board of every plant
+    /// (PROTOCOL.md, section 7). Commanded voltages would be too inexact: the rounding of a command
+    /// lasts until the next command, and over seconds its effect on the arm exceeds an encoder
+    /// count.
     ///
     /// A tick without a sample is left out: the motor kept the previous voltage, which the previous
     /// sample gives. A sample whose device time is not later than the previous one is left out too.

@@ -2,8 +2,8 @@ use std::f64::consts::PI;
 
 use crate::qube::State;
 
-/// Longest time between two samples of a motion, s. Over a longer interruption nobody knows the
-/// voltage.
+/// Longest time between two samples of a motion, s. Over a longer interruption the voltage is
+/// unknown.
 pub(super) const MAX_INTERRUPTION_S: f64 = 1.0;
 
 /// One sample of a motion.

@@ -54,8 +54,8 @@ pub struct AngleError {
 pub enum OpenLoopError {
     /// Two samples are more than 1 s apart.
     #[error(
-        "there is no sample for {interruption_s:.1} s after {time_s:.2} s: nobody knows the voltage in so long a time, so this \
-         motion cannot be simulated"
+        "there is no sample for {interruption_s:.1} s after {time_s:.2} s: the voltage in this time is unknown, so the motion \
+         cannot be simulated"
     )]
     Interrupted {
         /// Time of the last sample before the interruption, s.
@@ -63,9 +63,9 @@ pub enum OpenLoopError {
         /// Length of the interruption, s.
         interruption_s: f64,
     },
-    /// A simulated state is no longer finite.
+    /// A simulated state is not finite.
     #[error(
-        "the simulated motion is no longer finite at {time_s:.2} s: check that the log has voltages in V and velocities in \
+        "the simulated motion is not finite at {time_s:.2} s: check that the log has voltages in V and velocities in \
          rad/s"
     )]
     Diverged {
@@ -194,7 +194,7 @@ pub fn simulate_stretch_in<T: Scalar>(
             let mut done_s = number(0.0);
             while done_s < number(step_s) {
                 // A command that arrives at the time of the sample belongs to the next interval,
-                // whichever way the sum of the steps is rounded.
+                // however the sum of the steps is rounded.
                 let next_s = match samples.get(command + 1).map(arrival_s) {
                     Some(next_s) if next_s < number(sample.time_s) => next_s - number(begin_s),
                     _ => number(f64::INFINITY),
@@ -226,7 +226,7 @@ mod tests {
     use crate::qube::{DomainParameters, Dynamics, Nonidealities, PlantModel, control_step};
     use crate::replay::MotionSample;
 
-    /// A log of the same equations, with uneven times.
+    /// Returns a log of the nominal equations of motion with these parameters, at uneven times.
     fn made_by(parameters: &DomainParameters) -> MotionLog {
         let dynamics = Dynamics::<f64>::new(parameters);
         let mut state = State { theta: 0.1, alpha: -0.2, ..State::default() };
@@ -307,12 +307,12 @@ mod tests {
             }
             worst = worst.max((difference / size).sqrt());
         }
-        println!("slopes differ by {worst} of themselves");
+        println!("slopes differ by a fraction of at most {worst}");
         assert!(worst < 0.4, "{worst}");
     }
 
     #[test]
-    fn a_motion_that_leaves_the_numbers_is_named() {
+    fn a_motion_that_diverges_is_refused_with_its_time() {
         let state = State { theta_dot: 1e300, ..State::default() };
         let sample = |time_s| MotionSample { time_s, state, voltage_v: 1e300 };
         let samples = vec![sample(0.0), sample(0.5)];
@@ -332,14 +332,14 @@ mod tests {
             assert_eq!(simulated.is_ok(), is_simulated, "{interruption_s} s");
             if let Err(why) = simulated {
                 let before_s = log.samples[199].time_s - log.samples[0].time_s;
-                let words = format!("after {before_s:.2} s: nobody knows the voltage");
+                let words = format!("after {before_s:.2} s: the voltage in this time is unknown");
                 assert!(why.to_string().contains(&words), "{why}");
             }
         }
     }
 
     #[test]
-    fn more_friction_halves_the_step_and_lab_keeps_its() {
+    fn more_friction_halves_the_step_and_lab_keeps_the_longest_step() {
         let lab = crate::qube::Profile::lab().model();
         let with_friction = |factor: f64| {
             let mut model = lab;
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delayed_command_arrives_between_samples_and_before_a_stretch() {
+    fn a_delayed_command_arrives_between_samples_and_within_a_later_stretch() {
         let delayed = |command_delay_s| QubeModel {
             nonidealities: Nonidealities { command_delay_s, ..Nonidealities::default() },
             ..QubeModel::NOMINAL

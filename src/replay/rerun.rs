@@ -15,16 +15,16 @@ pub struct Rerun {
     pub return_recomputed: f64,
     /// Number of ticks whose decision was compared.
     pub actions_compared: usize,
-    /// Number of ticks that decided differently: the voltage wanted or sent, the phase or the state
-    /// differs.
+    /// Number of ticks whose recomputed decision differs: the voltage that was requested or sent,
+    /// the phase, or the state.
     pub actions_different: usize,
-    /// First tick that decided differently.
+    /// First tick whose recomputed decision differs.
     pub first_difference: Option<TickDifference>,
     /// Number of ticks that could not be compared because earlier ones are missing.
     pub not_compared: usize,
     /// Ending of the rollout: the recomputed one, or the recorded one where `ending_of_the_file` is
-    /// set. `None` if the last compared tick ends nothing, as where ticks are missing at the end or
-    /// before.
+    /// set. `None` if the last compared tick does not end the rollout, for example because later
+    /// ticks are missing.
     pub ending: Option<Ending>,
     /// Recomputed prediction for which foresight ended the rollout; `None` if foresight did not end
     /// it.
@@ -34,7 +34,7 @@ pub struct Rerun {
     /// Recomputed tick at which foresight was nearest to ending the policy; `None` if the guard was
     /// not foresight, or if no policy ran.
     pub guard_approach: Option<GuardApproach>,
-    /// Whether the rollout braked under [`Guard::Envelope`], a guard of old recordings that this
+    /// True if the rollout braked under [`Guard::Envelope`], a guard of old recordings that this
     /// program cannot compute: ticks from the first braking tick on are not compared, and the
     /// ending is the file's.
     pub ending_of_the_file: bool,
@@ -51,7 +51,7 @@ pub struct GuardApproach {
     pub foreseen: ForeseenAngle,
 }
 
-/// One tick that decided differently.
+/// One tick whose recomputed decision differs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TickDifference {
     /// The tick as the file has it.
@@ -61,8 +61,8 @@ pub struct TickDifference {
 }
 
 impl Rerun {
-    /// Whether every tick was compared that this program can compute, and every decision and the
-    /// return came out again, bit for bit.
+    /// Returns whether every tick that this program can compute was compared, and every decision
+    /// and the return came out again, bit for bit.
     #[must_use]
     pub fn agrees(&self) -> bool {
         self.actions_different == 0
@@ -71,8 +71,8 @@ impl Rerun {
     }
 }
 
-/// The controller that drove a recording: the policy attached to it, or for an external controller
-/// one that repeats the recorded answers.
+/// The controller that drove a recording: the policy attached to it, or, after an external
+/// controller, a policy that repeats the recorded answers.
 ///
 /// # Errors
 /// The attachment is not a policy.
@@ -117,8 +117,8 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     let mut ending = None;
     let mut guard_approach: Option<GuardApproach> = None;
     for (index, recorded) in compared.iter().enumerate() {
-        // A recording has no field for the loss of the device. It happens only in the last tick,
-        // which has no sample, because it ends the rollout, and the outcome names it. The last tick
+        // A recording has no field for the loss of the device, but the outcome names it. The loss
+        // ends the rollout, so it happens only in the last tick, which has no sample. The last tick
         // of a recording whose end is missing may be an earlier one.
         let may_be_the_end = index + 1 == recording.ticks.len() && recorded.measurement.is_none();
         let output = tick.decide(&TickInput {
@@ -176,13 +176,13 @@ pub fn rerun(recording: &Recording, policy: impl Controller) -> Rerun {
     }
 }
 
-fn same_decision(a: &TickRecord, b: &TickRecord) -> bool {
+fn same_decision(recorded: &TickRecord, recomputed: &TickRecord) -> bool {
     let bits = |tick: &TickRecord| {
         let state = tick.state;
         let numbers = [state.theta, state.alpha, state.theta_dot, state.alpha_dot];
         (tick.phase, tick.voltage_mv, numbers.map(number_bits), tick.wanted_v.map(number_bits))
     };
-    bits(a) == bits(b)
+    bits(recorded) == bits(recomputed)
 }
 
 /// The bits of a number, with one value for all NaN: the processor chooses which NaN an operation

@@ -38,7 +38,7 @@ fn training_record() -> TrainingRecord {
     }
 }
 
-/// A rollout on an ideal plant, as the reader gives it. Every 13th sample is lost.
+/// A rollout on an ideal plant, read back from its recording. Every 13th sample is lost.
 fn recorded_rollout(policy: Policy, link_breaks_at: Option<u32>) -> Recording {
     recorded_with(EstimatorSettings::default(), policy, link_breaks_at)
 }
@@ -162,13 +162,13 @@ fn an_answer_that_the_guard_refused_is_replayed_from_the_outcome() {
     let mut recording = recorded_rollout(classical(ClassicalGains::default()), None);
     recording.policy = Policy::External(External::new("mine")).to_bytes();
     let running = |tick: &TickRecord| tick.phase == Phase::Running;
-    let asked = recording.ticks.iter().filter(|tick| running(tick) && tick.wanted_v.is_some());
-    let asked = asked.count();
+    let requests = recording.ticks.iter().filter(|tick| running(tick) && tick.wanted_v.is_some());
+    let requests = requests.count();
     for last_v in [None, Some(4.5)] {
         recording.outcome.as_mut().unwrap().last_answer_v = last_v;
         let mut controller = controller_of(&recording).unwrap();
         let state = State::default();
-        let answers = (0..=asked).map(|_| Controller::voltage_v(&mut controller, &state));
+        let answers = (0..=requests).map(|_| Controller::voltage_v(&mut controller, &state));
         let last = answers.last().unwrap();
         assert!(last_v.map_or(last.is_nan(), |last_v| last == last_v), "{last}");
     }
@@ -194,7 +194,7 @@ fn a_network_with_a_history_comes_out_again_bit_for_bit() {
     let again = rerun(&recording, used);
     assert!(again.agrees(), "{again:?}");
     let other = rerun(&recording, policy(0.31));
-    assert!(other.actions_different > 50, "the last command plays no part: {other:?}");
+    assert!(other.actions_different > 50, "the last command has no effect: {other:?}");
 }
 
 #[test]
@@ -218,14 +218,14 @@ fn rollouts_with_an_observer_or_a_slow_filter_replay_bit_for_bit() {
     }
 }
 
-/// A policy that asks for the same voltage at all times.
+/// A policy that requests the same voltage at all times.
 fn pushing(voltage_v: f32) -> Policy {
     let layer = |inputs: usize, outputs: usize, bias: f32| LayerWeights {
         weight: vec![0.0; inputs * outputs],
         bias: vec![bias; outputs],
     };
-    // The output layer is linear with a bias of 20, so the policy asks for 20 times
-    // `voltage_v`; the tick limits the voltage.
+    // The output layer is linear with a bias of 20, so the policy requests 20 times `voltage_v`;
+    // the tick limits the voltage.
     let network =
         Network::new(&[9, 5, 1], &[layer(9, 5, 0.0), layer(5, 1, 20.0)], voltage_v).unwrap();
     Policy::Network(NetworkPolicy { network, training: training_record() })
@@ -241,7 +241,7 @@ fn the_replay_finds_where_foresight_was_nearest_to_ending_the_policy() {
     let first_running = |recording: &Recording| {
         recording.ticks.iter().find(|tick| tick.phase == Phase::Running).unwrap().tick
     };
-    // A policy that asks for about 0 V stays away from the end.
+    // A policy that requests about 0 V stays away from the end.
     let calm = guarded(pushing(1e-6));
     let calm_again = rerun(&calm, pushing(1e-6));
     assert!(calm_again.agrees(), "{calm_again:?}");
@@ -250,8 +250,8 @@ fn the_replay_finds_where_foresight_was_nearest_to_ending_the_policy() {
     assert!(f64::from(approach.foreseen.largest_rad) >= approach.theta_rad.abs() - 0.01);
     assert!(approach.tick >= first_running(&calm));
 
-    // Foresight ends a policy that pushes to one side, and the nearest tick is the one that
-    // ended it.
+    // Foresight ends a policy that pushes to one side, and the nearest tick is the tick that ended
+    // it.
     let pushed = guarded(pushing(2.0));
     let again = rerun(&pushed, pushing(2.0));
     assert!(again.agrees(), "{again:?}");
@@ -292,8 +292,8 @@ fn a_rollout_that_lost_its_link_and_whose_last_ticks_are_missing_differs_in_no_t
     assert_eq!(rerun.ending, None);
 }
 
-/// A policy that asks for full voltage of alternating sign, because its first neuron sees the
-/// last command.
+/// A policy that requests full voltage of alternating sign, because its first neuron sees the last
+/// command.
 fn trembling() -> Policy {
     let mut layers = [
         LayerWeights { weight: vec![0.0; 45], bias: vec![0.0; 5] },
@@ -316,8 +316,8 @@ fn a_rollout_on_an_overheated_motor_comes_out_again_and_only_from_the_same_heat(
     let again = rerun(&recording, trembling());
     assert!(again.agrees(), "{again:?}");
     assert_eq!(again.ending, by_heat);
-    // A header without heat is that of a recording older than the estimate; the replay then
-    // ignores the heat.
+    // A header without heat belongs to a recording from before the estimate existed; the replay
+    // then ignores the heat.
     let mut older = recording;
     older.header.motor_heat = None;
     let other = rerun(&older, trembling());
@@ -349,7 +349,7 @@ fn another_policy_and_another_voltage_are_found() {
 }
 
 #[test]
-fn behind_missing_ticks_nothing_is_compared() {
+fn after_missing_ticks_nothing_is_compared() {
     let mut recording = recorded_rollout(classical(ClassicalGains::default()), None);
     let ticks = recording.ticks.len();
     recording.ticks.remove(100);

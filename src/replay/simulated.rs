@@ -37,16 +37,16 @@ impl SimulatedSpecimen {
 pub struct SimulationError {
     /// Root mean square error over the whole motion.
     pub whole: AngleError,
-    /// Root mean square error until the recorded pendulum is first upright; `None` if it never is,
-    /// or is so at the start.
+    /// Root mean square error until the recorded pendulum is first upright; `None` if it is never
+    /// upright, or is upright at the start.
     pub until_upright: Option<AngleError>,
-    /// Whether the simulated pendulum is at some time far from upright while the recorded one is
+    /// True if the simulated pendulum is at some time far from upright while the recorded one is
     /// upright: near upright a small error grows.
     pub falls: bool,
 }
 
 impl SimulationError {
-    /// Compares a simulation with the motion whose voltages it got.
+    /// Compares a simulation with the motion whose voltages drove it.
     #[must_use]
     pub fn of(log: &MotionLog, open_loop: &OpenLoop) -> Self {
         let samples = &log.samples;
@@ -69,7 +69,8 @@ mod tests {
     use crate::qube::State;
     use crate::replay::{MotionSample, simulate_from_first_state};
 
-    /// A motion whose pendulum hangs, then is upright, and its simulation by the nominal Qube.
+    /// Compares a motion with these angles of the pendulum, rad, with its simulation by the nominal
+    /// Qube.
     fn error_of(alphas: [f64; 4]) -> SimulationError {
         let sample = |(index, alpha): (usize, f64)| MotionSample {
             time_s: 0.01 * index as f64,
@@ -83,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn the_error_until_upright_leaves_out_what_follows() {
+    fn the_error_until_upright_leaves_out_later_samples() {
         let error = error_of([0.0, 0.0, PI, PI]);
         assert_eq!(error.until_upright.map(|it| it.alpha_rad), Some(0.0));
         assert!((error.whole.alpha_rad - PI / 2.0_f64.sqrt()).abs() < 1e-9, "{error:?}");

@@ -16,11 +16,11 @@ pub struct Chart {
     pub bands: Vec<Band>,
     /// Lines across the figure, with labels.
     pub marks: Vec<Mark>,
-    /// Whether the horizontal axis is logarithmic.
+    /// True if the horizontal axis is logarithmic.
     pub logarithmic: bool,
-    /// Whether the vertical axis is logarithmic.
+    /// True if the vertical axis is logarithmic.
     pub y_logarithmic: bool,
-    /// Whether the horizontal axis has numbers at whole positions only.
+    /// True if the horizontal axis has numbers at whole positions only.
     pub whole: bool,
     /// Range of the horizontal axis; `None` fits the data.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -48,7 +48,7 @@ pub struct Series {
     values: Vec<Option<f64>>,
     style: Style,
     colour: usize,
-    /// Whether the line connects the values on both sides of a gap.
+    /// True if the line connects the values on both sides of a gap.
     spans: bool,
 }
 
@@ -136,7 +136,7 @@ impl Series {
         Self { name: name.into(), values, style, colour, spans: false }
     }
 
-    /// This series with a line that connects the values on both sides of a gap.
+    /// Returns this series with a line that connects the values on both sides of a gap.
     #[must_use]
     pub fn over_gaps(self) -> Self {
         Self { spans: true, ..self }

@@ -8,9 +8,10 @@ use crate::qube::{DomainParameter, Quantity};
 /// Number of points over the range of the figure, and again over the range of each density.
 const PLACES: usize = 121;
 
-/// The figure of the named draws of a quantity, without those that have no spread, and a sentence
-/// about draws at the ends of the range, which have no density; the sentence is empty if there are
-/// none. No axis reaches a value that no draw can have, except the nominal value, which a line
+/// Returns the figure of the named draws of a quantity, and a sentence about the draws at the ends
+/// of the range. Draws without spread are not in the figure, and draws at the ends have no density.
+/// The sentence is empty if every end has less than [`MENTIONED_SHARE`] of the draws. The
+/// horizontal axis reaches no value that no draw can have, except the nominal value, which a line
 /// marks.
 pub fn density_chart(
     quantity: Quantity,
@@ -34,8 +35,8 @@ pub fn density_chart(
     let between = |from: f64, to: f64| {
         (0..PLACES).map(move |index| from + (to - from) * index as f64 / (PLACES - 1) as f64)
     };
-    // A narrow density needs points of its own, because those of the whole range may miss it; the
-    // points just outside it let the curve fall to 0 at its ends.
+    // A narrow density needs points of its own, because the points of the whole range may miss it;
+    // the points just outside it let the curve fall to 0 at its ends.
     let own = spread().flat_map(|(_, (_, it))| {
         let (from, to) = it.inner;
         between(from, to).chain([from.next_down(), to.next_up()])
@@ -61,17 +62,18 @@ pub fn density_chart(
     (chart, at_ends(quantity, curves))
 }
 
-/// Smallest share of draws at an end of their range that a figure's sentence tells.
-const TOLD_SHARE: f64 = 0.005;
+/// Smallest share of draws at an end of their range that a figure's sentence mentions.
+const MENTIONED_SHARE: f64 = 0.005;
 
-/// Says which shares of the draws lie at the ends of their ranges; empty if none do.
+/// Returns a sentence with the shares of the draws at the ends of their ranges; empty if every
+/// share is below [`MENTIONED_SHARE`].
 fn at_ends(quantity: Quantity, curves: &[(&str, &QuantityDraws)]) -> String {
     let unit = if quantity.unit() == "1" { "" } else { quantity.unit() };
     let told = curves.iter().filter_map(|(name, it)| {
         let ends = [(it.at_ends[0], it.range.0), (it.at_ends[1], it.range.1)];
         let parts: Vec<String> = ends
             .into_iter()
-            .filter(|(share, _)| *share >= TOLD_SHARE)
+            .filter(|(share, _)| *share >= MENTIONED_SHARE)
             .map(|(share, end)| {
                 let value = format!("{} {unit}", significant(end));
                 format!("{:.0} % at {}", 100.0 * share, value.trim_end())
@@ -126,7 +128,7 @@ mod tests {
     use crate::simulation::{Direction, DomainDistribution};
 
     #[test]
-    fn a_figure_reaches_no_impossible_value_and_tells_the_draws_at_an_end() {
+    fn a_figure_reaches_no_impossible_value_and_mentions_the_draws_at_an_end() {
         let friction = Quantity::Nonideality(Nonideality::CoulombTorque);
         let error = Direction::new(&[(friction, 1e-4)]);
         let draws = QuantityDraws::of(&DomainDistribution::nominal().along(&[error]));

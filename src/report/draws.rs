@@ -14,7 +14,7 @@ pub const NEGLIGIBLE: f64 = 1e-12;
 /// standard deviation.
 const DRAWS: usize = 100_000;
 
-/// [`DRAWS`] as pages write it.
+/// [`DRAWS`] as text for pages.
 pub const DRAWS_IN_WORDS: &str = "100 000";
 
 /// Seed of the draws: the same distribution gives the same page.
@@ -27,12 +27,12 @@ const CELLS: usize = 400;
 /// wide enough for the number of draws.
 const KERNEL_CELLS: f64 = 4.0;
 
-/// Distance from an end of the range at which a draw may count as at this end, as a fraction of the
-/// distance between the smallest and the largest draw.
+/// Largest distance from an end of the range at which a draw may count as at this end, as a
+/// fraction of the distance between the smallest and the largest draw.
 const NEAR_END: f64 = 0.01;
 
-/// Draws are piled up at an end if this many times as many lie within [`NEAR_END`] of the end as in
-/// the same distance beyond.
+/// Factor by which the draws within [`NEAR_END`] of an end must outnumber the draws in the same
+/// distance beyond, so that they count as piled up at the end.
 const PILED_UP: usize = 3;
 
 /// The draws of one quantity, summed up.
@@ -109,22 +109,22 @@ impl QuantityDraws {
         Self { mean, standard_deviation, range, at_ends, inner: ends, cells }
     }
 
-    /// Whether there is a density to draw. The limit is above 0 because of fits: for a quantity
-    /// that no recording shows, such as the rest angle of a cable without stiffness, rounding
-    /// alone may leave a deviation.
+    /// Returns whether there is a density to draw. The limit is above 0 because of fits: for a
+    /// quantity that no recording shows, such as the rest angle of a cable without stiffness,
+    /// rounding alone may leave a deviation.
     pub fn has_spread(&self) -> bool {
         !self.cells.is_empty()
     }
 
-    /// The density of the draws at a value, without those at the ends of the range; 0 where no draw
-    /// lies.
+    /// The smoothed density of the draws at a value, without those at the ends of the range; 0
+    /// outside [`inner`](Self::inner).
     pub fn density(&self, value: f64) -> f64 {
         let (low, high) = self.inner;
         if self.cells.is_empty() || !(low..=high).contains(&value) {
             return 0.0;
         }
         let last = self.cells.len() - 1;
-        // The density of a cell is that at the cell's middle.
+        // The density of a cell applies to the cell's middle.
         let place = ((value - low) / (high - low) * CELLS as f64 - 0.5).clamp(0.0, last as f64);
         let cell = (place as usize).min(last.saturating_sub(1));
         let part = place - cell as f64;
@@ -133,7 +133,7 @@ impl QuantityDraws {
 }
 
 /// The smoothed density in each cell between `low` and `high`: counts, spread by a normal kernel
-/// and reflected at both ends, so that no draw is moved out of them.
+/// and reflected at both ends, so that no draw is moved out of the range.
 fn density(values: impl Iterator<Item = f64>, (low, high): (f64, f64), all: usize) -> Vec<f64> {
     let width = (high - low) / CELLS as f64;
     let mut counts = [0.0; CELLS];
@@ -184,7 +184,7 @@ mod tests {
     fn a_damping_that_is_nearly_unknown_is_not_drawn_below_its_range() {
         let damping = Quantity::Parameter(DomainParameter::RotaryDamping);
         let nominal = PlantModel::QUBE.nominal().get(damping);
-        // The deviation is twice the value, as after an identification that does not show it.
+        // The deviation is twice the value, as after an identification that does not determine it.
         let error = Direction::new(&[(damping, 2.0 * nominal)]);
         let draws = draws_of(&DomainDistribution::nominal().along(&[error]), damping);
         let (low, high) = (0.1 * nominal, 1.9 * nominal);
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn draws_that_further_deviations_move_a_little_from_an_end_count_as_at_it() {
+    fn draws_that_other_deviations_move_slightly_off_an_end_count_as_at_the_end() {
         let damping = Quantity::Parameter(DomainParameter::RotaryDamping);
         let nominal = PlantModel::QUBE.nominal().get(damping);
         let errors = [2.0, 0.002].map(|size| Direction::new(&[(damping, size * nominal)]));

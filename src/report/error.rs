@@ -16,9 +16,9 @@ pub enum ReportError {
     /// The ledger cannot be read.
     #[error(transparent)]
     Ledger(#[from] LedgerError),
-    /// The ledger has no entry of a candidate that has a folder.
+    /// The ledger has no candidate, although candidates have folders.
     #[error(
-        "{path} says nothing of the candidates that have folders beside it: it is lost or was emptied. No page was written"
+        "{path} has no candidates, although there are folders of candidates beside it: its content is lost. No page was written"
     )]
     LedgerLost {
         /// Path of the ledger.

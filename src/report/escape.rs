@@ -1,5 +1,5 @@
 /// Escapes text of any origin for HTML, within an element or within an attribute in double quotes.
-/// Characters that [`is_obeyed`] names appear as escapes, except line breaks and tabs.
+/// Characters that [`is_obeyed`] names appear as escapes, except line feeds and tabs.
 #[must_use]
 pub fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len() + 16);
@@ -25,9 +25,9 @@ pub fn inert(json: &str) -> String {
     json.replace('<', "\\u003c").replace('>', "\\u003e").replace('&', "\\u0026")
 }
 
-/// Whether a browser or terminal acts on the character instead of showing it: Unicode's control
-/// characters including C1; line and paragraph separators; characters that change the direction of
-/// writing (UAX 9); characters without width; marks of annotations; tags.
+/// Returns whether a browser or terminal acts on the character instead of showing it: Unicode's
+/// control characters including C1; line and paragraph separators; characters that change the
+/// direction of writing (UAX 9); characters without width; marks of annotations; tags.
 #[must_use]
 pub fn is_obeyed(letter: char) -> bool {
     letter.is_control()

@@ -53,21 +53,21 @@ pub fn recipes_page(
         }
     }
     let comparisons = results.comparisons();
-    let what = compared(settings);
+    let kind = compared(settings);
     for plant in plants {
         let recipes: Vec<&RecipeResult> =
             results.recipes.iter().filter(|it| it.plant == plant).collect();
         page.section(&format!("On {plant}"));
-        add_returns(&mut page, what, &recipes);
-        add_behaviours(&mut page, what, &recipes);
+        add_returns(&mut page, kind, &recipes);
+        add_behaviours(&mut page, kind, &recipes);
         let of_plant: Vec<&Comparison> =
             comparisons.iter().filter(|it| it.plant == plant).collect();
-        add_comparisons(&mut page, what, &of_plant);
+        add_comparisons(&mut page, kind, &of_plant);
     }
     add_distributions(&mut page, distributions, settings.plant());
     add_searches(&mut page, searches);
     let first = rollouts.first().map(|(name, view)| (name.clone(), view.header.clone()));
-    add_examples(&mut page, what, rollouts);
+    add_examples(&mut page, kind, rollouts);
     let first = first.as_ref().map(|(name, header)| (name.as_str(), header));
     add_provenance(&mut page, first, commands);
     Ok(page.finish()?)
@@ -167,8 +167,8 @@ fn success_chart(results: &MethodResults) -> Chart {
 }
 
 /// Adds the table of returns and successes of each recipe or method, and the figure of its
-/// policies' returns; `what` is `recipe` or `method`.
-fn add_returns(page: &mut Page, what: &str, recipes: &[&RecipeResult]) {
+/// policies' returns; `kind` is `recipe` or `method`.
+fn add_returns(page: &mut Page, kind: &str, recipes: &[&RecipeResult]) {
     let rows: Vec<Vec<Cell>> = recipes
         .iter()
         .map(|recipe| {
@@ -199,7 +199,7 @@ fn add_returns(page: &mut Page, what: &str, recipes: &[&RecipeResult]) {
         })
         .collect();
     let heads = [
-        what,
+        kind,
         "policies",
         "return in simulation",
         "return on the plant",
@@ -213,13 +213,13 @@ fn add_returns(page: &mut Page, what: &str, recipes: &[&RecipeResult]) {
     page.paragraph("Means ± standard deviations over policies.");
     if recipes.iter().any(|recipe| !recipe.policies.is_empty()) {
         let note = "A dot is the mean of a policy's rollouts.";
-        page.chart("Return of each policy", note, policies_chart(what, recipes));
+        page.chart("Return of each policy", note, policies_chart(kind, recipes));
     }
 }
 
 /// The mean return of each policy as a dot, the policies of a recipe or method side by side, with
 /// their mean.
-fn policies_chart(what: &str, recipes: &[&RecipeResult]) -> Chart {
+fn policies_chart(kind: &str, recipes: &[&RecipeResult]) -> Chart {
     let mut places: Vec<(f64, [Option<f64>; 2])> = Vec::new();
     for (index, recipe) in recipes.iter().enumerate() {
         let returns = recipe.returns();
@@ -242,13 +242,13 @@ fn policies_chart(what: &str, recipes: &[&RecipeResult]) -> Chart {
             .map(|(index, recipe)| Mark::vertical(index as f64 - 0.45, recipe.recipe.as_str())),
     );
     Chart {
-        x: Axis::new(format!("{what}, in the order of the table"), ""),
+        x: Axis::new(format!("{kind}, in the order of the table"), ""),
         y: Axis::new("mean return of a policy", ""),
         xs: places.iter().map(|place| place.0).collect(),
         series: vec![
             Series::new("policy", Style::Dots, 0, places.iter().map(|place| place.1[0])),
             Series::new(
-                format!("mean of the {what}"),
+                format!("mean of the {kind}"),
                 Style::Dots,
                 1,
                 places.iter().map(|place| place.1[1]),
@@ -262,7 +262,7 @@ fn policies_chart(what: &str, recipes: &[&RecipeResult]) -> Chart {
     }
 }
 
-fn add_behaviours(page: &mut Page, what: &str, recipes: &[&RecipeResult]) {
+fn add_behaviours(page: &mut Page, kind: &str, recipes: &[&RecipeResult]) {
     let rows: Vec<Vec<Cell>> = recipes
         .iter()
         .filter(|recipe| !recipe.policies.is_empty())
@@ -276,20 +276,20 @@ fn add_behaviours(page: &mut Page, what: &str, recipes: &[&RecipeResult]) {
         return;
     }
     page.heading("How the rollouts ended");
-    let heads: Vec<&str> = [what].into_iter().chain(Behaviour::ALL.map(behaviour_words)).collect();
+    let heads: Vec<&str> = [kind].into_iter().chain(Behaviour::ALL.map(behaviour_words)).collect();
     page.table(&heads, &rows, None);
 }
 
-fn add_comparisons(page: &mut Page, what: &str, comparisons: &[&Comparison]) {
+fn add_comparisons(page: &mut Page, kind: &str, comparisons: &[&Comparison]) {
     if comparisons.is_empty() {
         return;
     }
-    page.heading(&format!("{}s in pairs", first_upper(what)));
+    page.heading(&format!("{}s in pairs", first_upper(kind)));
     page.paragraph(&format!(
         "The differences are over pairs of policies of equal number, which have equal seeds. Their p-values are \
          McNemar's exact test and a permutation test, corrected by Holm for the number of comparisons on the plant \
          at the same number of real rollouts. The last column compares each policy of \
-         the first {what} with each of the second: the share of these pairs in which the second's return is \
+         the first {kind} with each of the second: the share of these pairs in which the second's return is \
          higher; ties count half.",
     ));
     let finite = |value: f64, text: String| {
@@ -392,13 +392,13 @@ fn search_chart(candidates: &[Vec<f64>]) -> Chart {
     returns_chart(&candidates, MAX_STEPS as f64, Vec::new())
 }
 
-fn add_examples(page: &mut Page, what: &str, rollouts: NamedRollouts) {
+fn add_examples(page: &mut Page, kind: &str, rollouts: NamedRollouts) {
     if rollouts.is_empty() {
         return;
     }
     page.section("Rollouts");
     page.paragraph(&format!(
-        "The first rollout of the best and of the worst policy of each {what} on each plant, for up to 20 of these pairs."
+        "The first rollout of the best and of the worst policy of each {kind} on each plant, for up to 20 of these pairs."
     ));
     let motions = rollouts.into_iter().map(|(name, view)| {
         let outcome = format!("{name}: {}", view.result());
@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn the_density_of_a_quantity_includes_what_joint_deviations_add() {
+    fn the_density_of_a_quantity_includes_joint_deviations() {
         let mass = Quantity::Parameter(DomainParameter::RotaryMass);
         let deviation = 0.1 * PlantModel::QUBE.nominal().get(mass);
         let directions = [Direction::new(&[(mass, deviation)])];

@@ -7,18 +7,18 @@ use crate::experiment::{
 };
 use crate::qube::MAX_STEPS;
 
-/// The methods that are compared at fixed budgets; `None` if recipes are compared.
+/// The methods that are compared at fixed budgets; `None` for any other experiment.
 fn methods_at_budgets(settings: &ExperimentSettings) -> Option<&MethodSettings> {
     settings.methods.as_ref().filter(|it| it.has_budgets())
 }
 
-/// The word for the things that the experiment compares.
+/// The word for the entries that the experiment compares: `method` at fixed budgets, or `recipe`.
 pub fn compared(settings: &ExperimentSettings) -> &'static str {
     if methods_at_budgets(settings).is_some() { "method" } else { "recipe" }
 }
 
 /// The sentences about the largest mean return: one for each plant, or one for all plants together
-/// where their results are independent.
+/// if methods are compared at fixed budgets with seeds of each plant's own.
 pub fn headlines(settings: &ExperimentSettings, results: &Results) -> Vec<String> {
     let pools = methods_at_budgets(settings).is_some_and(|methods| {
         settings.plants.len() > 1 && methods.seeds == RepetitionSeeds::OfEachPlant
@@ -32,10 +32,10 @@ pub fn headlines(settings: &ExperimentSettings, results: &Results) -> Vec<String
 }
 
 /// The sentence about the largest mean return on a plant, or on [`ALL_PLANTS`], among the recipes
-/// or methods that have all their policies; methods at the largest budget that one of them has
-/// completed.
+/// or methods that have all their policies. Methods are compared at the largest budget that one of
+/// them has completed.
 fn headline(settings: &ExperimentSettings, results: &Results, plant: &str) -> String {
-    let what = compared(settings);
+    let kind = compared(settings);
     let (needed, all) = match methods_at_budgets(settings) {
         Some(methods) => {
             let plants = if plant == ALL_PLANTS { settings.plants.len() } else { 1 };
@@ -50,7 +50,7 @@ fn headline(settings: &ExperimentSettings, results: &Results, plant: &str) -> St
     let rows: Vec<&RecipeResult> = complete().filter(|it| it.budget == budget).collect();
     let best = rows.iter().max_by(|one, other| one.real().0.total_cmp(&other.real().0));
     let Some(best) = best else {
-        return format!("On {plant}, no {what} has completed all its policies yet.");
+        return format!("On {plant}, no {kind} has completed all its policies yet.");
     };
     let after = match budget {
         None => String::new(),
@@ -62,7 +62,7 @@ fn headline(settings: &ExperimentSettings, results: &Results, plant: &str) -> St
     let name = name.unwrap_or(&best.recipe);
     let (article, among) = match rows.len() {
         1 => ("a", String::new()),
-        count => ("the largest", format!(" of {count} {what}s")),
+        count => ("the largest", format!(" of {count} {kind}s")),
     };
     let interval = best.return_interval();
     let (successes, policies) = (best.successes(), best.policies.len());
@@ -72,7 +72,7 @@ fn headline(settings: &ExperimentSettings, results: &Results, plant: &str) -> St
         _ => format!("{successes} of its {policies} policies succeed"),
     };
     let mut sentence = format!(
-        "On {plant}{after}, the {what} {name} has {article} mean return{among}: {:.1} of at most {MAX_STEPS} (95 % \
+        "On {plant}{after}, the {kind} {name} has {article} mean return{among}: {:.1} of at most {MAX_STEPS} (95 % \
          interval {:.0} to {:.0}); {of_policies}.",
         best.real().0,
         interval.lower,

@@ -2,9 +2,9 @@
 //! elsewhere; it has figures that zoom and pendulums that play recorded motions.
 //!
 //! [`SessionSource`] reads a session's folder and [`session_page`] writes its page;
-//! [`recordings_page`] writes the page of recordings, [`recipes_page`] and [`methods_page`]
-//! those of experiments. A page depends only on the files that were read. Figures are data, which
-//! the page's own script draws with uPlot. Every text from a file is escaped, and the page's
+//! [`recordings_page`] writes the page of recordings, [`recipes_page`] and [`methods_page`] write
+//! the pages of experiments. A page depends only on the files that were read. Figures are data,
+//! which the page's own script draws with uPlot. Every text from a file is escaped, and the page's
 //! content security policy allows no other script and no request.
 //!
 //! Only the feature `cli` builds this room. It may import `charts`, `experiment`, `session`,

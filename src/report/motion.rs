@@ -71,7 +71,7 @@ struct Limits {
 
 impl PackedMotion {
     /// The motion of a recording, with the simulation of its voltages if there is one. Times count
-    /// from the first tick of the policy, or from the first of all if the policy never had the
+    /// from the first tick of the policy, or from the first of all if the policy never drove the
     /// motor. `nearest` are the approaches to mark. Ticks beyond `MAX_TICKS` are left out.
     #[must_use]
     pub fn of(
@@ -162,7 +162,7 @@ impl PackedMotion {
     pub fn bytes(&self) -> usize {
         let columns =
             [&self.theta, &self.alpha, &self.voltage, &self.simulated_theta, &self.simulated_alpha];
-        // Base64 has four characters for three bytes; the rest has some hundred characters.
+        // Base64 has four characters for three bytes; the rest has about 600 characters.
         600 + columns.iter().map(|column| 8 * column.len() / 3).sum::<usize>()
     }
 
@@ -196,7 +196,8 @@ impl Near {
 }
 
 /// The simulation of a recording's voltages by a model, with the recorded motion whose first state
-/// it starts from; `None` if there is no motion, or if the simulation diverges.
+/// it starts from; `None` if there is no motion, if the motion has a long interruption, or if the
+/// simulation diverges.
 #[must_use]
 pub fn simulated(recording: &Recording, model: &QubeModel) -> Option<(MotionLog, OpenLoop)> {
     let log = MotionLog::of_recording(recording)?;
@@ -204,8 +205,8 @@ pub fn simulated(recording: &Recording, model: &QubeModel) -> Option<(MotionLog,
     Some((log, open_loop))
 }
 
-/// Angle of the whole turns by which alpha falls when the policy begins, rad: the tick then forgets
-/// the turns that the pendulum has made before. 0 if the policy never begins.
+/// Angle of the whole turns by which alpha falls when the policy begins, rad: from then on the tick
+/// counts the pendulum's turns from zero. The angle is 0 if the policy never begins.
 fn turned_before_policy(ticks: &[TickRecord]) -> f64 {
     let begins =
         |pair: &&[TickRecord]| pair[0].phase != Phase::Running && pair[1].phase == Phase::Running;

@@ -24,10 +24,11 @@ pub struct Nearest {
 }
 
 /// The nearest approaches of a recording to the four limits of its box, in the order arm's and
-/// pendulum's angle, arm's and pendulum's velocity; empty if the policy never had the motor.
+/// pendulum's angle, arm's and pendulum's velocity; empty if the policy never drove the motor.
 ///
-/// The first tick after the policy's last one counts, too: its state follows from the policy's last
-/// voltage, and the brake has the motor in it if this state is beyond a limit.
+/// The tick right after the policy's last one counts, too, if it was recorded: its state follows
+/// from the policy's last voltage, and the brake drives the motor in it if this state is beyond a
+/// limit.
 #[must_use]
 pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
     let limits = recording.header.settings.safety_box;
@@ -65,9 +66,9 @@ pub fn nearest_approaches(recording: &Recording) -> Vec<Nearest> {
 }
 
 /// The tick at which the guard was nearest to ending the policy, and its time from the policy's
-/// first tick, s. A replay of the recording finds it. `None` if the guard was not foresight, if the
-/// recorded policy cannot be read, or if the replay cannot repeat every decision of the recording,
-/// because the guard's prediction then cannot be recomputed.
+/// first tick, s. A replay of the recording finds it. `None` if the guard was not foresight or
+/// predicted nothing, if the recorded policy cannot be read, or if the replay cannot repeat every
+/// decision of the recording, so that the guard's prediction cannot be recomputed.
 #[must_use]
 pub fn guard_approach(recording: &Recording) -> Option<(GuardApproach, f64)> {
     if recording.header.settings.safety_box.guard.is_box() {
@@ -116,7 +117,8 @@ mod tests {
         assert!((theta.share - 1.0).abs() < 1e-12);
         assert_eq!((found[3].value, found[3].share, found[3].time_s), (-20.0, 0.5, 0.0));
 
-        // A tick is missing after the policy's last one, so that the next one may be any later one.
+        // A tick is missing after the policy's last tick, so the next recorded tick may be any
+        // later one.
         recording.ticks.remove(3);
         let theta = &nearest_approaches(&recording)[0];
         assert_eq!((theta.value, theta.time_s), (-1.15, 0.01));

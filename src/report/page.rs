@@ -23,7 +23,8 @@ const STYLE: &str = include_str!("assets/report.css");
 const BEGINNING: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
     <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src ";
 
-/// Whether the file at this path is a report, also one of an earlier version of the program.
+/// Returns whether the file at this path is a report of this version or an earlier version of the
+/// program.
 #[must_use]
 pub fn is_report(disk: &dyn Disk, path: &Path) -> bool {
     let length = BEGINNING.len();
@@ -32,7 +33,7 @@ pub fn is_report(disk: &dyn Disk, path: &Path) -> bool {
 }
 
 /// An HTML page that is being written, with the data of its figures. It escapes every text that its
-/// methods get.
+/// methods get, except the SVG of a [`picture`](Self::picture).
 #[derive(Debug, Default)]
 pub struct Page {
     title: String,
@@ -88,9 +89,10 @@ impl From<String> for Cell {
     }
 }
 
-/// Formats a number with four significant digits, or as a whole number from 1e4 on. Below 1e-4 and
-/// from 1e6 on, where zeros would hide the digits, it is written with a power of ten. Magnitudes
-/// below [`NEGLIGIBLE`] become 0; a number that is not finite is written as `NaN`, `inf` or `-inf`.
+/// Formats a number with four significant digits, or, from 1e4 to 1e6, as a whole number. Below
+/// 1e-4 and from 1e6 on, where zeros would hide the digits, it is written with a power of ten.
+/// Magnitudes below [`NEGLIGIBLE`] become 0; a number that is not finite is written as `NaN`, `inf`
+/// or `-inf`.
 pub fn significant(value: f64) -> String {
     let size = value.abs();
     if size < NEGLIGIBLE {
@@ -244,8 +246,8 @@ impl Page {
         };
         let data = inert(&serde_json::to_string(&data)?);
         let title = escaped(&self.title);
-        // A browser runs only these two scripts and applies only this style, whatever a name in the
-        // page contains.
+        // A browser runs only these two scripts and applies only this style, even if a name in the
+        // page contains a script.
         let style = format!("{PLOTS_STYLE}{STYLE}");
         let policy = format!(
             "{} {}; style-src {}; img-src data:; base-uri 'none'; form-action 'none'",
@@ -278,7 +280,7 @@ mod tests {
     use crate::storage::MachineDisk;
 
     #[test]
-    fn a_hash_is_that_of_the_standard() {
+    fn the_hash_of_the_empty_text_is_the_published_value() {
         // The digest of the empty text, as FIPS 180-4 tools print it.
         assert_eq!(hash(""), "'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='");
     }
@@ -308,7 +310,7 @@ mod tests {
         page.table(&[hostile], &[vec![hostile.into()]], None);
         page.details(hostile, |page| page.chart(hostile, hostile, Chart::default()));
         let html = page.finish().unwrap();
-        assert_eq!(html.matches("<script").count(), 3, "data, uPlot and the page's own");
+        assert_eq!(html.matches("<script").count(), 3, "the page has three scripts");
         assert_eq!(html.matches("</script>").count(), 3);
         assert!(!html.contains("<img"));
     }

@@ -8,7 +8,8 @@ pub struct CandidateReturns {
     pub number: u32,
     /// Returns of its rollouts; at least one.
     pub returns: Vec<f64>,
-    /// Whether the candidate belongs to the search, and so counts for the line of the best so far.
+    /// True if the candidate belongs to the search and therefore counts for the line of the best
+    /// mean return so far.
     pub is_searched: bool,
 }
 

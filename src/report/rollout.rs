@@ -22,11 +22,12 @@ pub struct RolloutView {
     /// Nearest approaches to the limits of the safety box.
     pub nearest: Vec<Nearest>,
     /// The tick at which the guard was nearest to ending the policy, and its time from the policy's
-    /// first tick, s; `None` where that is not known.
+    /// first tick, s; `None` if it is unknown.
     pub guard: Option<(GuardApproach, f64)>,
     /// Name of the specimen that is simulated with the rollout's voltages.
     pub simulated: String,
-    /// Error of this simulation; `None` if the simulation diverged or there was no motion.
+    /// Error of this simulation; `None` if the simulation diverged, or if there was no motion or a
+    /// long interruption in it.
     pub simulation_error: Option<SimulationError>,
     /// Motion for the player, not yet named.
     pub motion: PackedMotion,
@@ -84,7 +85,7 @@ impl RolloutView {
         }
     }
 
-    /// The nearest approach to a limit, of all limits of the box; `None` if the policy never had
+    /// The nearest approach to a limit, of all limits of the box; `None` if the policy never drove
     /// the motor.
     #[must_use]
     pub fn nearest_of_all(&self) -> Option<&Nearest> {
@@ -176,18 +177,18 @@ fn guard_words((approach, time_s): (GuardApproach, f64)) -> String {
             "The guard was nearest {when}: it could not predict where the arm would stop"
         );
     }
-    let saw = format!(
-        "it predicted that the policy's voltage and the brake after it take the arm of some Qube that this one may \
-         be to {largest_rad:.2} rad"
+    let predicted = format!(
+        "for one of the Qubes that this one may be, it predicted that the policy's voltage and the brake after it \
+         take the arm to {largest_rad:.2} rad"
     );
     if largest_rad >= end_rad {
         return format!(
-            "The guard ended the policy {when}: {saw}, and no arm may reach {end_rad:.2}"
+            "The guard ended the policy {when}: {predicted}, and no arm may reach {end_rad:.2}"
         );
     }
     let share = 100.0 * largest_rad / end_rad;
     format!(
-        "The guard was nearest {when}: {saw}, {share:.0} % of the {end_rad:.2} that no arm may reach"
+        "The guard was nearest {when}: {predicted}, {share:.0} % of the {end_rad:.2} that no arm may reach"
     )
 }
 
@@ -200,9 +201,9 @@ pub fn first_upper(text: &str) -> String {
     }
 }
 
-/// Adds the player of these motions, which must be named, and instructions for it. Motions beyond
-/// the page's budget are thinned or left out; `first` is the index of the motion that is chosen at
-/// the start.
+/// Adds the player of these motions, which must be named, and instructions for it. If the motions
+/// exceed [`MOTION_BYTES`], all are thinned, and some may be left out. `first` is the index of the
+/// motion that is chosen at the start.
 pub fn add_player(page: &mut Page, motions: Vec<PackedMotion>, first: usize) {
     let (motions, first, note) = within_budget(motions, first);
     page.paragraph(
@@ -222,9 +223,9 @@ const MOTION_BYTES: usize = 3_200_000;
 /// that suffices is used, or else the last.
 const STRIDES: [usize; 4] = [1, 2, 4, 10];
 
-/// The motions that fit into a page, the index of the chosen one among them, and a note for the
-/// reader. Motions are thinned only as far as they must be; those that do not fit even so are left
-/// out, except the chosen one, and the note says so.
+/// The motions that fit into a page, the index of the chosen one among them, and, if the motions
+/// were thinned, a note for the reader. Motions are thinned only as far as necessary. Motions that
+/// do not fit even then are left out, except the chosen one, and the note says how many.
 fn within_budget(
     motions: Vec<PackedMotion>,
     first: usize,
@@ -259,7 +260,7 @@ fn within_budget(
     (kept, kept_first, Some(note))
 }
 
-/// The heads of the columns of a table of rollouts, after those that name the rollout.
+/// The heads of the columns of a table of rollouts, after the columns that name the rollout.
 pub const ROLLOUT_HEADS: [&str; 8] = [
     "result",
     "return",
@@ -351,7 +352,7 @@ mod tests {
         assert_eq!((kept.len(), first, note), (10, 9, None));
         let (kept, first, note) = within_budget(vec![motion(800); 800], 700);
         assert_eq!((kept.len(), first), (800, 700));
-        assert!(note.unwrap().contains("one tick in 2 is"), "");
+        assert!(note.unwrap().contains("one tick in 2 is"));
         let (kept, first, note) = within_budget(vec![motion(30_000); 300], 299);
         let bytes: usize = kept.iter().map(PackedMotion::bytes).sum();
         assert!(bytes <= MOTION_BYTES + motion(3_000).bytes(), "{bytes}");

@@ -7,7 +7,7 @@ use crate::telemetry::LatencySummary;
 const PER_DECADE: i32 = 6;
 
 /// Adds the timing of all ticks: missed deadlines, percentiles, and, unless no tick was late, a
-/// histogram of the lateness. Without any tick it says so instead.
+/// histogram of the lateness. If no tick is recorded, adds only a sentence that says so.
 pub fn add_timing(page: &mut Page, latencies: &Latencies) {
     page.section("Timing");
     let (missed, ticks) = (latencies.missed_deadlines(), latencies.ticks());
@@ -81,7 +81,7 @@ mod tests {
     use crate::telemetry::TickRecord;
 
     #[test]
-    fn virtual_time_is_told_of_only_where_there_are_ticks() {
+    fn virtual_time_is_mentioned_only_if_ticks_are_recorded() {
         let told = |ticks: &[TickRecord]| {
             let mut latencies = Latencies::default();
             latencies.add(ticks);

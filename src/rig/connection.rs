@@ -5,7 +5,8 @@ use crate::clock::{Clock, PunctualClock, VirtualClock};
 use crate::device::emulator::EmulatedQube;
 use crate::device::{Device, HilLink, SerialLink};
 
-/// A device, its clock, and the running emulator if the device is one behind a pty.
+/// A device, its clock, and the running emulator if the device is an emulator behind a
+/// pseudo-terminal.
 type Connection = (Box<dyn Device>, Arc<dyn Clock>, Option<EmulatedQube>);
 
 /// Opens the device that the settings choose.

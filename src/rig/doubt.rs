@@ -7,12 +7,13 @@ use serde::{Deserialize, Serialize};
 use crate::storage::{Disk, MachineDisk, is_absence, write_whole};
 use crate::telemetry::Fault;
 
-/// A reason why a Qube may not be driven unasked: a sensor or the motor is in doubt, or somebody
-/// has used the emergency stop or switched the Qube off. The doubt lasts until an operator has
-/// acknowledged it and an examination has passed.
+/// A reason why a Qube may not be driven without an operator's acknowledgement: a fault after which
+/// it must be examined, such as one of a sensor or the motor, an emergency stop, or a Qube that was
+/// switched off. The doubt lasts until an operator has acknowledged it and an examination has
+/// passed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Doubt {
-    /// Fault that caused the doubt; `None` where its record cannot be read.
+    /// Fault that caused the doubt; `None` if its record cannot be read.
     pub fault: Option<Fault>,
     /// Serial number of the board.
     pub board: String,
@@ -57,7 +58,7 @@ impl DoubtStore {
     }
 
     /// The doubt about a board, if there is one. An unreadable file counts as a doubt too. A file
-    /// counts as none if its fault leaves no doubt by this release's table of faults.
+    /// does not count if its fault leaves no doubt by this release's table of faults.
     #[must_use]
     pub fn load(&self, board: &str) -> Option<Doubt> {
         let path = self.path(board);
@@ -73,13 +74,14 @@ impl DoubtStore {
         doubt.fault.is_none_or(Fault::leaves_doubt).then_some(doubt)
     }
 
-    /// Warns if no doubt about a board can be stored, before there is one.
+    /// Tests whether a doubt about a board could be stored, and warns if not.
     pub fn warn_if_unwritable(&self, board: &str) {
         let path = self.path(board).with_extension("test");
         if let Err(error) = self.write(&path, b"").and_then(|()| MachineDisk.remove(&path)) {
             tracing::warn!(
                 "{}: no doubt about this Qube can be stored there ({error}): after a fault of a sensor or the \
-                 motor the next program would drive it unasked. Let XDG_STATE_HOME name a folder that you may write",
+                 motor the next program would drive it without an operator's acknowledgement. Set XDG_STATE_HOME to a \
+                 folder that you may write",
                 self.folder.display()
             );
         }
@@ -92,8 +94,8 @@ impl DoubtStore {
             serde_json::to_vec(doubt).expect("plain structs with text keys always become JSON");
         if let Err(error) = self.write(&path, &bytes) {
             tracing::warn!(
-                "{}: the doubt about this Qube cannot be stored and ends with this program ({error}): drive it no \
-                 more before somebody has looked at it",
+                "{}: the doubt about this Qube cannot be stored and ends with this program ({error}): do not drive \
+                 it until somebody has checked it",
                 path.display()
             );
         }

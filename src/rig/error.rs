@@ -28,7 +28,7 @@ pub enum RigSettingError {
 /// An error of a rig.
 #[derive(Debug, Error)]
 pub enum RigError {
-    /// Virtual time needs the emulated Qube.
+    /// Virtual time was requested for a serial port or a card.
     #[error("virtual time works with the emulated Qube only, not with {port}")]
     VirtualPort {
         /// Port or card that was requested.
@@ -49,7 +49,7 @@ pub enum RigError {
     /// The policy was made for another plant.
     #[error(transparent)]
     OtherPlant(#[from] OtherPlant),
-    /// Control refused the motion, because it lacks a hello or a homing.
+    /// Control refused the motion, because the Qube needs a hello or homing first.
     #[error("{0}")]
     Refused(ControlError),
     /// The control thread has ended.
@@ -128,11 +128,11 @@ pub enum RigError {
         /// Fault of the count: the board has restarted, or the count moved while the motor was off.
         fault: Fault,
     },
-    /// A motion left a sensor or the motor in doubt, and no operator has acknowledged this yet.
+    /// The Qube is in doubt, and no operator has acknowledged this yet.
     #[error("{0}")]
     InDoubt(Box<Doubt>),
     /// The program attempts nothing more after this fault: another attempt would end with it again,
-    /// or none is due.
+    /// or no attempt is planned.
     #[error("{fault}. {}", fault.operator_step())]
     Ended {
         /// Fault that ended the motion.
@@ -205,7 +205,8 @@ impl From<ControlError> for RigError {
     }
 }
 
-/// The operator's step after a lost link, as far as the error of the last attempt does not say it.
+/// The operator's step after a lost link, without the part that the error of the last attempt
+/// contains.
 fn lost_link_step(source: &DeviceError) -> &'static str {
     match source {
         DeviceError::FellSilent { .. } | DeviceError::QubeAbsent { .. } => {
@@ -246,7 +247,7 @@ impl RigError {
             | Self::NotBegun { fault, .. }
             | Self::MiddleLost { fault }
             | Self::Ended { fault } => Some(*fault),
-            // Whatever ended the link, by now it is gone.
+            // The link is gone, regardless of the error of the last attempt.
             Self::LinkLost { .. } => Some(Fault::LinkGone),
             Self::ThreadGone(_) => Some(Fault::OffUnconfirmed),
             Self::Device(error) => link_fault(error),
@@ -267,8 +268,8 @@ impl RigError {
         }
     }
 
-    /// Whether the Qube, its board or its link caused the error, and not the request, the computer
-    /// or the operator.
+    /// Returns whether the Qube, its board, its link or its control thread caused the error, and
+    /// not the request, the rest of the computer or the operator.
     #[must_use]
     pub fn is_of_rig(&self) -> bool {
         match self {
@@ -323,8 +324,9 @@ impl RigError {
     }
 }
 
-/// The fault that corresponds to a failed link, a restarted board, or a board that refuses to drive
-/// its Qube; `None` for other errors.
+/// The fault that corresponds to a failed link, a restarted board, a Qube that is off, an open
+/// emergency stop, or a board that refuses to drive its Qube or keeps its motor on; `None` for
+/// other errors.
 pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
     match error {
         DeviceError::Link { fault: LinkFault::Gone, .. } => Some(Fault::LinkGone),
@@ -337,7 +339,7 @@ pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
             RefusalReason::EmergencyStop => Some(Fault::EmergencyStop),
             RefusalReason::Faulted => Some(Fault::Amplifier),
             RefusalReason::WatchdogTripped => Some(Fault::WatchdogTripped),
-            // A device that has had a hello says that its motor is on.
+            // A device that has had a hello reports that its motor is on.
             RefusalReason::AlreadyArmed => Some(Fault::OffUnconfirmed),
             _ => None,
         },
@@ -361,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_stayed_silent_is_a_lost_link_and_switched_off_once() {
+    fn the_message_of_a_lost_link_says_once_to_switch_the_qube_off() {
         let silent = DeviceError::FellSilent {
             port: "/dev/qube".into(),
             silent_s: 30.5,

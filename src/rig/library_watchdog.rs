@@ -8,7 +8,7 @@ const LONGEST_MS: f64 = 60_000.0;
 
 /// The watchdog of a board behind the vendor's library, as `check` has measured it; `[watchdog]` in
 /// `qube.toml`. It is measured only if the motor really went off: after the program had fallen
-/// silent, the arm turned no farther than after a push that the program itself had ended.
+/// silent, the arm turned not much farther than after a push that the program itself had ended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LibraryWatchdog {

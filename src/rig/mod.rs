@@ -2,8 +2,8 @@
 //! recording one rollout at a time.
 //!
 //! The room may import `clock`, `device`, `control`, `preflight`, `estimation`, `safety`, `policy`,
-//! `qube`, `recording`, `telemetry` and `storage`. Sessions, experiments and the commands `run`
-//! and `soak` use it in the same way: [`RigSettings`] describe a rig, [`Rig::open`] opens it, and
+//! `qube`, `recording`, `telemetry` and `storage`. Sessions, experiments and the commands `run` and
+//! `soak` use the room in the same way: [`RigSettings`] describe a rig, [`Rig::open`] opens it, and
 //! [`Rig::rollout`] records the rollout of a [`RolloutPlan`]. The command `check` uses
 //! [`Rig::connect`] and [`Rig::check`]. The properties of one Qube are in its [`QubeFile`].
 //!

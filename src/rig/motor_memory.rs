@@ -4,7 +4,7 @@ use crate::clock::Nanoseconds;
 use crate::safety::{LARGEST_LOAD, MotorHeat};
 
 /// The heat that a Qube's motor had when its last rig was closed. All clones share it, so that a
-/// rig that is opened anew by the same program does not take a warm motor for a cold one.
+/// rig that is opened anew by the same program begins with the warm motor's heat.
 #[derive(Clone, Debug, Default)]
 pub struct MotorMemory(Arc<Mutex<Option<ClosedRig>>>);
 
@@ -15,8 +15,8 @@ struct ClosedRig {
 }
 
 impl MotorMemory {
-    /// Remembers the motor of a rig that is closed at this time. A heat that nobody knows, because
-    /// the control thread has ended, counts as the largest load.
+    /// Stores the heat of the motor of a rig that is closed at this time. `None`, if the control
+    /// thread has ended and the heat is unknown, counts as the largest load.
     pub(super) fn store(&self, heat: Option<MotorHeat>, closed_ns: Nanoseconds) {
         let load = heat.map_or(LARGEST_LOAD, |heat| heat.load);
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) =
@@ -41,7 +41,7 @@ mod tests {
     use crate::rig::{ClockChoice, DeviceChoice, Rig, RigSettings};
 
     #[test]
-    fn a_motor_cools_between_two_rigs_and_one_that_nobody_knows_is_hot() {
+    fn a_motor_cools_between_two_rigs_and_an_unknown_heat_counts_as_overheated() {
         let (memory, cold) = (MotorMemory::default(), MotorHeat::default());
         assert_eq!(memory.warm(cold, 5), cold);
         let warm = MotorHeat { load: 0.6, ..cold };

@@ -12,8 +12,9 @@ pub struct NotBegun {
 }
 
 impl NotBegun {
-    /// Whether a rollout that ended with this error may be repeated: it did not begin
-    /// ([`RigError::NotBegun`]), like at most two in a row before it. If so, it is counted.
+    /// Returns whether a rollout that ended with this error may be repeated, and counts each
+    /// repetition. A rollout may be repeated if it did not begin ([`RigError::NotBegun`]) and at
+    /// most two rollouts in a row before it did not begin either.
     pub fn may_repeat(&mut self, error: &RigError) -> bool {
         let may_repeat =
             matches!(error, RigError::NotBegun { .. }) && self.in_a_row < MAX_NOT_BEGUN;

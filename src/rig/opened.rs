@@ -42,7 +42,7 @@ pub struct Rig {
     /// Measured link; `None` before the measurement, and for the embedded emulator, unless it
     /// emulates a USB bridge.
     pub(super) link: Option<MeasuredLink>,
-    /// Whether the device adds its own time to each sample; otherwise the age of a sample is
+    /// True if the device adds its own time to each sample; otherwise the age of a sample is
     /// unknown.
     pub(super) has_device_clock: bool,
     clock: ClockChoice,
@@ -82,8 +82,8 @@ impl Rig {
     /// examined, and a real one too unless the settings skip the check.
     ///
     /// # Errors
-    /// A doubt is not acknowledged, the processor is too slow for foresight, or a step fails; the
-    /// motor is off after any error.
+    /// A doubt is not acknowledged, the processor is too slow for foresight, or a step fails. The
+    /// motor is then off, unless the error says that it may be on.
     pub fn open(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         Self::open_announced(settings, stop, |_| {})
     }
@@ -140,7 +140,8 @@ impl Rig {
         Self::connect(settings, stop)?.accepted(settings)
     }
 
-    /// This rig and its acknowledged doubt, if there is one, once its Qube may be driven.
+    /// Checks that the Qube may be driven, and returns this rig with its acknowledged doubt, if
+    /// there is one.
     ///
     /// # Errors
     /// A doubt is not acknowledged, or the processor is too slow for foresight.
@@ -162,9 +163,9 @@ impl Rig {
     /// Opens the device and reads its identity without moving the motor.
     ///
     /// # Errors
-    /// A setting cannot be used; the device does not exist or does not answer, is another board
-    /// than the settings require, or is hardware with a plant that needs a consent that the
-    /// settings lack.
+    /// A setting cannot be used; the emulator or the control thread cannot be started; the device
+    /// does not exist or does not answer, is another board than the settings require, or is
+    /// hardware with a plant that needs a consent that the settings lack.
     pub fn connect(settings: &RigSettings, stop: &Arc<AtomicBool>) -> Result<Self, RigError> {
         settings.check()?;
         let (device, clock, emulator) = connect(settings)?;
@@ -183,7 +184,8 @@ impl Rig {
         )?;
         let identity = control.hello()?;
         if let Some(expected) = settings.board.as_ref().filter(|board| **board != identity.serial) {
-            // The port of the emulated Qube is made by this program, so its name says nothing.
+            // The port of the emulated Qube is made by this program, so its name would tell the
+            // operator nothing.
             let port = match settings.device {
                 DeviceChoice::Emulated => "the emulated Qube".to_owned(),
                 _ => identity.port,
@@ -234,8 +236,8 @@ impl Rig {
         self.identified.set(settings.identified());
     }
 
-    /// Takes the Qube for an unidentified one from the next rollout on, because it has moved unlike
-    /// its profile.
+    /// Makes the guard treat the Qube as not identified from the next rollout on, because its
+    /// motion has contradicted its profile.
     pub fn distrust_profile(&self) {
         self.identified.set(None);
     }
@@ -244,7 +246,9 @@ impl Rig {
     /// rig adopts the signs of the examination.
     ///
     /// # Errors
-    /// The device no longer answers, or a stop was requested. A failed check is not an error here.
+    /// The device stops answering, refuses to drive its Qube, or is another board; the board has
+    /// restarted and a hand had shown the arm's middle; or a stop was requested. A failed check is
+    /// not an error here.
     pub fn check(&mut self, other_signs: OtherSigns) -> Result<Examination, UnfinishedCheck> {
         let mut examination = self.examine(other_signs)?;
         examination.results.push(if examination.passed() {
@@ -283,8 +287,8 @@ impl Rig {
         self.link.as_ref()
     }
 
-    /// Whether the device's port is gone. A board that answers without its Qube, or is silent at
-    /// its port, still has one.
+    /// Returns whether the device's port is gone. The port of a board that answers without its
+    /// Qube, or that is silent, is not gone.
     ///
     /// # Errors
     /// The control thread has ended.
@@ -322,20 +326,20 @@ impl Rig {
             self.latch(fault);
         }
         if examination.passed() {
-            // The board may have restarted during the examination, which does not end then.
+            // A restart of the board does not end the examination.
             let identity = self.control.hello()?;
             self.accept_restart(identity)?;
         }
         Ok(examination)
     }
 
-    /// Reacts to the last fault as the table of faults demands: says hello again, which reopens a
-    /// lost port and clears the device's latch, and homes the arm.
+    /// Reacts to the last fault as the table of faults demands: sends a hello again, which reopens
+    /// a lost port and clears the device's latch, and homes the arm.
     ///
     /// # Errors
     /// The fault leaves a doubt, or another attempt would end in the same way; the device does not
-    /// answer; another board answers; the board has restarted and a hand had shown the arm's
-    /// middle; homing fails; or a stop was requested.
+    /// answer or refuses to drive its Qube; another board answers; the board has restarted and a
+    /// hand had shown the arm's middle; homing fails; or a stop was requested.
     pub fn start_again(&mut self) -> Result<(), RigError> {
         if let Some(fault) = self.last_fault.get() {
             match fault.consequence() {
@@ -396,9 +400,9 @@ impl Rig {
         self.accept_restart(identity)
     }
 
-    /// Takes over the identity of the same board, which may have restarted since; so may its Qube.
-    /// If one of them has, the counters have begun anew, and the count at which a hand has put the
-    /// arm is void. Homing by hand touches no stop, so it would not notice the error.
+    /// Takes over the identity of the same board. If the board or its Qube has restarted since, the
+    /// counters have begun anew, and the count at which a hand has put the arm is void. Homing by
+    /// hand touches no stop, so it would not notice the error.
     fn accept_restart(&mut self, identity: Identity) -> Result<(), RigError> {
         let cause = if identity.boot_id != self.identity.boot_id {
             Some("the board has restarted")
@@ -459,8 +463,8 @@ impl Rig {
     }
 
     /// Homes the arm. Homing is repeated, at most twice, if only the link or the computer failed,
-    /// which says nothing about the Qube. After a stop request it is not repeated, and the error is
-    /// returned if the motor may be on.
+    /// which indicates no defect of the Qube. After a stop request it is not repeated, and the
+    /// error is returned if the motor may be on.
     fn home(&mut self) -> Result<(), RigError> {
         for pause_ns in HOMING_PAUSES_NS {
             match self.home_once() {
@@ -523,7 +527,7 @@ impl Rig {
     /// Checks, after the last motion, that the device has confirmed that its motor is off.
     ///
     /// # Errors
-    /// The device has not confirmed it, whatever ended the motion: [`Fault::OffUnconfirmed`].
+    /// The device has not confirmed it, for any ending of the motion: [`Fault::OffUnconfirmed`].
     pub fn check_off(&self) -> Result<(), RigError> {
         match self.motor.get() {
             MotorState::Off => Ok(()),
@@ -554,7 +558,8 @@ impl Rig {
         &self.preflight
     }
 
-    /// Whether the device may have a real motor, according to its hello and not to its port alone.
+    /// Returns whether the device may have a real motor, according to its hello and not to its port
+    /// alone.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         self.control.is_hardware()

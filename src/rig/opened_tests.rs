@@ -11,7 +11,7 @@ use crate::safety::{Guard, GuardConsent, SafetyBox};
 use crate::storage::MachineDisk;
 use crate::telemetry::{RolloutHeader, TickSettings};
 
-/// An emulated Qube that does not declare that it is one, so that it counts as hardware.
+/// An emulated Qube that does not declare itself as emulated, so that it counts as hardware.
 struct Undeclared(SerialLink<InProcessWire>);
 
 impl Device for Undeclared {
@@ -36,7 +36,7 @@ impl Device for Undeclared {
     }
 }
 
-/// The connection to such a Qube.
+/// The connection to an [`Undeclared`] Qube.
 #[derive(Debug)]
 struct ToUndeclared;
 
@@ -48,7 +48,7 @@ impl Connect for ToUndeclared {
     }
 }
 
-/// Settings of a rig with such a Qube, whose examination is left out.
+/// Settings of a rig with an [`Undeclared`] Qube, whose examination is left out.
 fn hardware(limits: HardwareLimits) -> RigSettings {
     let device = DeviceChoice::Other(Arc::new(ToUndeclared));
     RigSettings { limits, skip_check: true, ..RigSettings::in_virtual_time(device) }

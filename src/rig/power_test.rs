@@ -52,11 +52,11 @@ impl PowerTest {
 pub enum PowerWarning {
     /// The motor keeps its last voltage when the board loses power.
     KeepsVoltage,
-    /// It is not known how the motor behaves then.
+    /// The motor's behaviour when the board loses power is unknown.
     Unknown,
 }
 
-/// The warning that the result of a Qube's power test calls for; `None` if the motor is known to go
+/// The warning that the result of a Qube's power test requires; `None` if the motor is known to go
 /// off without its board.
 #[must_use]
 pub fn power_warning(power: Option<&PowerTest>) -> Option<PowerWarning> {

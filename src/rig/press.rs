@@ -21,8 +21,8 @@ impl Rig {
     /// `ticks` control periods.
     ///
     /// # Errors
-    /// The device has not answered a hello, a fault is latched, the board has restarted, so that
-    /// its zeros are void, or the device could not be armed.
+    /// The device does not answer a hello; control needs homing after a fault; the board has
+    /// restarted, which makes its zeros void; or the device could not be armed.
     pub fn press(&mut self, push_v: f64, ticks: u32, kind: PressKind) -> Result<Pressed, RigError> {
         let (plant, calibration) = (self.plant, self.measured.calibration);
         let is_hardware = self.is_hardware();

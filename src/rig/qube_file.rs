@@ -49,7 +49,7 @@ pub struct QubeFile {
     /// Watchdog of a card behind the vendor's library, as the command `check` has measured it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub watchdog: Option<LibraryWatchdog>,
-    /// Thermal rating of the motor, A and s: both numbers above 0, and neither above the nominal
+    /// Thermal rating of the motor: at least 0.05 A and 1 s, and neither number above the nominal
     /// rating.
     #[serde(deserialize_with = "motor_rating", skip_serializing_if = "is_nominal")]
     pub motor: MotorRating,
@@ -60,15 +60,15 @@ pub struct QubeFile {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Signs {
-    /// Whether the arm's encoder counts down when theta grows.
+    /// True if the arm's encoder counts down when theta grows.
     pub theta_inverted: bool,
-    /// Whether the pendulum's encoder counts down when alpha grows.
+    /// True if the pendulum's encoder counts down when alpha grows.
     pub alpha_inverted: bool,
-    /// Whether a positive voltage turns the arm towards negative theta.
+    /// True if a positive voltage turns the arm towards negative theta.
     pub voltage_inverted: bool,
 }
 
-/// The homing of a rig: how the arm's zero is found.
+/// The homing of a rig: the way in which the arm's zero is found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RigHoming {
@@ -83,7 +83,7 @@ pub struct RigHoming {
     pub travel_rad: Option<f64>,
 }
 
-/// The limits of a rollout on this rig. They may be narrower than those of the task, never wider.
+/// The limits of a rollout on this rig. They may be narrower than the task's limits, never wider.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RigLimits {
@@ -138,8 +138,8 @@ impl QubeFile {
     /// Reads a `qube.toml`.
     ///
     /// # Errors
-    /// The file cannot be read, or has an unknown key or an invalid value; the error names the
-    /// line.
+    /// The file cannot be read, or is not TOML, or has an unknown key or an invalid value; the
+    /// error names the line.
     pub fn load(path: &Path) -> Result<Self, QubeFileError> {
         let text = read_text(path, SETTINGS_BYTES)
             .map_err(|source| QubeFileError::Unreadable { path: path.to_owned(), source })?;
@@ -165,10 +165,10 @@ impl QubeFile {
         write_whole(&MachineDisk, path, text.as_bytes()).map_err(QubeFileError::NotWritten)
     }
 
-    /// These entries for the rig with this board. If the file belongs to another board, only the
-    /// method of homing, the limits and the motor's rating remain; limits and rating can only make
-    /// things safer. Port, board, profile, power test, watchdog, offset and travel of the homing,
-    /// and the signs are left out.
+    /// Returns the entries that hold for the rig with this board. If the file belongs to another
+    /// board, only the method of homing, the limits and the motor's rating remain; limits and
+    /// rating can only make a rollout safer. Port, board, profile, power test, watchdog, offset and
+    /// travel of the homing, and the signs are left out.
     #[must_use]
     pub fn of_board(self, board: &str) -> Self {
         if self.board.as_deref().is_none_or(|own| own == board) {
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn another_boards_rig_keeps_only_what_makes_it_safer() {
+    fn the_rig_of_another_board_keeps_only_entries_that_make_it_safer() {
         let text = "port = \"/dev/qube\"\nboard = \"a\"\nprofile = \"lab.toml\"\n\
                     [signs]\nalpha_inverted = true\n\
                     [homing]\nmethod = \"hand\"\ntheta_offset_rad = 0.1\ntravel_rad = 4.3\n\
@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn an_entry_of_no_table_that_is_in_one_is_sent_to_the_top() {
+    fn an_entry_that_belongs_at_the_top_is_refused_in_a_table() {
         for (key, table) in [("profile", "[limits]"), ("port", "[motor]"), ("board", "[signs]")] {
             let text = format!("\n{table}\n{key} = \"mine.toml\"\n");
             let message = read_back(&text).unwrap_err().to_string();

@@ -39,12 +39,13 @@ const LEAST_AGE_S: f64 = 0.002;
 /// Largest age that is assumed for a sample without a device time, s.
 const LONGEST_AGE_S: f64 = 0.01;
 
-/// Largest angle by which a cable is taken to pull a resting arm between two rollouts, rad. On
+/// Largest angle by which a cable is assumed to pull a resting arm between two rollouts, rad. On
 /// `lab` it pulls by 0.1 rad in 10 s.
 const LARGEST_CREEP_RAD: f64 = 0.35;
 
-/// Whether a count that moved between two rollouts may be wrong, because it moved farther than a
-/// cable pulls the arm. Homing by hand touches no stop, so it would not notice the error.
+/// Returns whether the arm's count may be wrong after a rest between two rollouts, because it
+/// jumped or moved farther than a cable pulls the arm. Homing by hand touches no stop, so it would
+/// not notice the error.
 fn is_no_creep(moved: Moved) -> bool {
     match moved {
         Moved::Arm(angle_rad) => angle_rad.abs() > LARGEST_CREEP_RAD,
@@ -106,11 +107,13 @@ impl Rig {
     /// narrows the box to its own stops.
     ///
     /// # Errors
-    /// The policy is invalid, was made for another plant, or only names an external controller; the
-    /// box is wider than this hardware allows; the guard is the envelope, which exists for replays
-    /// only; the processor is too slow for foresight; the device could not be armed; the counts
-    /// have moved since homing; or the recording could not be written. A rollout that a fault ended
-    /// is `Ok`: its outcome names the fault.
+    /// The policy is invalid, was made for another plant, or only names an external controller; a
+    /// number of the estimator is out of range; this hardware does not allow the box or the guard;
+    /// the guard is the envelope, which exists for replays only; the processor is too slow for
+    /// foresight; the rig needs a hello or homing first; the device could not be armed; the counts
+    /// have moved since homing; a stop was requested before the rollout began; the control thread
+    /// has ended; or the recording could not be written. A rollout that a fault ended is `Ok`: its
+    /// outcome names the fault.
     pub fn rollout(
         &self,
         disk: &dyn Disk,
@@ -134,7 +137,7 @@ impl Rig {
 
     /// Runs one rollout like [`Self::rollout`], but with an external controller in place of a
     /// policy from a file. The guard is the same. The recording contains the voltages that the
-    /// controller asked for, so that a replay recomputes everything else.
+    /// controller requested, so that a replay recomputes everything else.
     ///
     /// # Errors
     /// The errors of [`Self::rollout`], except those about the policy.
@@ -184,10 +187,10 @@ impl Rig {
         };
         self.react_to(&report);
         if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
-            let how =
+            let detail =
                 report.outcome.contradiction.map_or_else(String::new, |it| format!(" ({it})"));
             tracing::warn!(
-                "the Qube does not move as its profile predicts{how}, so it is guarded as an unknown one. Is the \
+                "the Qube does not move as its profile predicts{detail}, so it is guarded as an unknown one. Is the \
                  pendulum another one, or is the supply weak?"
             );
             self.distrust_profile();

@@ -7,7 +7,7 @@ use crate::recording::FORMAT_VERSION;
 use crate::safety::SafetyBox;
 use crate::telemetry::{DeviceFacts, Preflight, RolloutHeader, TickRules, TickSettings};
 
-/// The plan of a rollout: its place among the others, its policy, and its rules.
+/// The plan of a rollout: its place among the others, its policy, estimator, box and length.
 #[derive(Clone, Debug)]
 pub struct RolloutPlan {
     /// Name of the session or experiment, or of the caller, such as `run`.
@@ -27,7 +27,7 @@ pub struct RolloutPlan {
     pub policy: String,
     /// Estimator of the state.
     pub estimator: EstimatorSettings,
-    /// Box that ends the rollout.
+    /// Box and guard, which may end the rollout early.
     pub safety_box: SafetyBox,
     /// Largest number of steps under the policy, 10 ms each.
     pub steps: u32,

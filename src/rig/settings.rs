@@ -48,7 +48,8 @@ impl DeviceChoice {
         }
     }
 
-    /// Whether the device counts as hardware before it has answered. A port and a card always do.
+    /// Returns whether the device counts as hardware before it has answered. A port and a card
+    /// always do.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         match self {
@@ -59,8 +60,8 @@ impl DeviceChoice {
     }
 }
 
-/// Connects to a kind of device that this program does not have, such as an emulator with a failing
-/// wire.
+/// A connection to a kind of device that this program does not have, such as an emulator with a
+/// failing wire.
 pub trait Connect: Send + Sync + std::fmt::Debug {
     /// Connects, and returns the device with the clock of its deadlines. Each opening of a rig
     /// calls this function.
@@ -69,8 +70,8 @@ pub trait Connect: Send + Sync + std::fmt::Debug {
     /// The device does not exist.
     fn connect(&self, emulator: &EmulatorSettings) -> Result<TimedDevice, DeviceError>;
 
-    /// Whether a real motor may be behind the connection. The default is `true`, which is the safe
-    /// answer.
+    /// Returns whether a real motor may be behind the connection. The default is `true`, which is
+    /// the safe answer.
     fn is_hardware(&self) -> bool {
         true
     }
@@ -82,7 +83,7 @@ pub type TimedDevice = (Box<dyn Device>, Arc<dyn Clock>);
 /// The clock of a rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockChoice {
-    /// The wall clock; the emulator is behind a real pty.
+    /// The wall clock; the emulator is behind a pseudo-terminal.
     Wall,
     /// Virtual time; the emulator is in this process.
     Virtual,
@@ -101,14 +102,14 @@ pub struct RigSettings {
     pub plant: PlantModel,
     /// Homing and signs of the rig.
     pub homing: HomingSettings,
-    /// Whether the check before the first motion of a real Qube is skipped.
+    /// True if the check before the first motion of a real Qube is skipped.
     pub skip_check: bool,
     /// Serial number of the board to which the signs belong, if known; another board is refused.
     pub board: Option<String>,
     /// Profile of the Qube, if it is identified.
     pub profile: Option<Profile>,
-    /// Whether the guard treats an emulated Qube as not identified. If this is `false`, an emulated
-    /// Qube without a profile counts as identified by its own model.
+    /// True if an emulated Qube without a profile counts as not identified. Otherwise it counts as
+    /// identified by its own model.
     pub unidentified: bool,
     /// Limits of hardware: the widest box of a rollout, the consent to a plant file, and the rating
     /// of the motor. An emulated Qube is held to the motor's rating alone.
@@ -122,7 +123,7 @@ pub struct RigSettings {
 /// The settings of the reaction to faults.
 #[derive(Clone, Debug)]
 pub struct Recovery {
-    /// Whether the operator has acknowledged the last doubt. The Qube is examined before it is
+    /// True if the operator has acknowledged the last doubt. The Qube is examined before it is
     /// driven again.
     pub acknowledged: bool,
     /// Time for which the program tries to reach a lost link again, s.
@@ -177,14 +178,14 @@ impl RigSettings {
         }
     }
 
-    /// Settings of a rig with the emulator that is part of this program, which has these settings,
-    /// in virtual time.
+    /// Settings of a rig in virtual time with the emulator that is part of this program; `emulator`
+    /// are the emulator's settings.
     #[must_use]
     pub fn emulated(emulator: EmulatorSettings) -> Self {
         Self { emulator, ..Self::in_virtual_time(DeviceChoice::Emulated) }
     }
 
-    /// Whether the device counts as hardware before it has answered.
+    /// Returns whether the device counts as hardware before it has answered.
     #[must_use]
     pub fn is_hardware(&self) -> bool {
         self.device.is_hardware()
@@ -209,9 +210,9 @@ impl RigSettings {
         }
     }
 
-    /// The profile by which the guard knows an emulated Qube: its true parameters, with the
-    /// standard errors of the profile `lab`, which comes from a real Qube. The profile of another
-    /// plant has no errors.
+    /// The profile that the guard uses for an emulated Qube without one: its true parameters, with
+    /// the standard errors of the profile `lab`, which comes from a real Qube. The profile of
+    /// another plant has no errors.
     fn emulated_profile(&self) -> Profile {
         let model = &self.emulator.model;
         if self.plant.name.is_qube() {
@@ -231,7 +232,8 @@ impl RigSettings {
         )
     }
 
-    /// Whether opening the rig begins with a check of the Qube. After a doubt it does in any case.
+    /// Returns whether the settings require a check of the Qube when the rig is opened. After a
+    /// doubt, a check is made in any case.
     #[must_use]
     pub fn checks(&self) -> bool {
         !self.skip_check && self.is_hardware()

@@ -3,11 +3,12 @@ use thiserror::Error;
 use super::RigError;
 use crate::telemetry::CheckResult;
 
-/// The error that a check of a Qube ended before its last step.
+/// The error of a check of a Qube that did not come to its end.
 #[derive(Debug, Error)]
 #[error("{error}")]
 pub struct UnfinishedCheck {
-    /// Results of the steps before. Empty if the examination itself ended.
+    /// Results of the examination, and of homing if a fault ended it; empty if the examination did
+    /// not come to its end.
     pub results: Vec<CheckResult>,
     /// Reason of the end.
     #[source]

@@ -35,7 +35,7 @@ const STANDARD_ERRORS: f64 = 3.0;
 
 /// Number of standard errors of the step along one of the independent directions of a profile's
 /// errors. Each particle takes the steps of all directions at once, so particles of a profile with
-/// fourteen directions are up to seven standard errors from it. With 3 in place of 2 the guard ends
+/// fourteen directions are up to 7.5 standard errors from it. With 3 in place of 2 the guard ends
 /// more good rollouts (SAFETY.md).
 const STEP_STANDARD_ERRORS: f64 = 2.0;
 
@@ -67,7 +67,7 @@ pub struct Belief {
     /// Least fraction of a voltage that arrives at the motor, for either sign; below 1 if the
     /// supply may be weak, or the amplifier may differ between the signs.
     pub least_share: f64,
-    /// Whether the first two particles, which are the hardest to brake, get only `least_share` of a
+    /// True if the first two particles, which are the hardest to brake, get only `least_share` of a
     /// voltage whose sign brakes them. Recordings that do not name it have `false`: each of their
     /// particles got whole voltages.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -124,9 +124,9 @@ fn are_none(steps: &[Step; Quantity::COUNT]) -> bool {
 impl Belief {
     /// The belief about an unidentified Qube: each parameter except gravity lies within this
     /// fraction of its nominal value. Compared with the Qube whose recordings are public, friction
-    /// and cable are at most 1.5 times as strong, the delay is at most twice as long, and each dead
-    /// zone is at most slightly wider than that Qube's wider one. The whole of a voltage arrives at
-    /// the motor.
+    /// and cable are at most 1.6 times as strong, the delay is at most twice as long, and each
+    /// dead zone is at most slightly wider than that Qube's wider one. The whole of a voltage
+    /// arrives at the motor.
     #[must_use]
     pub fn of_any_qube(within: f64) -> Self {
         Self::of_any_plant(&PlantModel::QUBE, within)
@@ -134,8 +134,8 @@ impl Belief {
 
     /// The belief about a plant of which only the description is known: each parameter except
     /// gravity lies within this fraction of its nominal value. The nonidealities have the ranges of
-    /// [`Self::of_any_qube`], those of Coulomb friction and of the cable's stiffness in the
-    /// proportion of the two motors' torques.
+    /// [`Self::of_any_qube`]; the ranges of Coulomb friction and of the cable's stiffness are
+    /// scaled in the proportion of the two motors' torques.
     #[must_use]
     pub fn of_any_plant(plant: &PlantModel, within: f64) -> Self {
         let (mut low, mut high) = (plant.nominal(), plant.nominal());
@@ -164,9 +164,10 @@ impl Belief {
     }
 
     /// The belief about a specimen of this plant, from its profile. Each number except gravity may
-    /// be off by three standard errors or by 10 %, whichever is more, but a parameter by at most
-    /// 30 %; the delay may be off by at least 30 % and at least 2 ms. At least 80 % of a voltage
-    /// arrives at the motor; only the first two particles get so little, and of one sign.
+    /// be off by three standard errors or by 10 %, whichever is larger; a parameter may be off by
+    /// at most 30 %, and the delay by at least 30 % and at least 2 ms. At least 80 % of a voltage
+    /// arrives at the motor; only the first two particles get so little, and each for one sign
+    /// only.
     ///
     /// If the profile has correlations, steps of two standard errors in the independent directions
     /// of the errors take the place of the three standard errors of each number. Besides, each
@@ -203,7 +204,7 @@ impl Belief {
         belief
     }
 
-    /// This belief, widened so that each parameter except gravity, and each nonideality except the
+    /// Widens this belief so that each parameter except gravity, and each nonideality except the
     /// delay, may be off by at least this fraction of the middle of its range.
     #[must_use]
     pub fn at_least_within(mut self, fraction: f64) -> Self {
@@ -219,7 +220,8 @@ impl Belief {
         self
     }
 
-    /// Moves both ends of a number outward; a nonideality stays within its range.
+    /// Moves both ends of a number outward; a nonideality stays within its range, and a parameter
+    /// at or below its largest value.
     fn widen(&mut self, quantity: Quantity, off: f64) {
         let (low, high) = (self.low.get(quantity) - off, self.high.get(quantity) + off);
         let (low, high) = match quantity {
@@ -230,9 +232,9 @@ impl Belief {
         self.high.set(quantity, high);
     }
 
-    /// This belief behind a link whose samples may be up to `age_s` older than they seem, s. A
-    /// command's delay counts from its sample, so the longest delay grows by this age, up to the
-    /// longest that a belief may have.
+    /// Returns this belief for a link whose samples may be up to `age_s` seconds older than they
+    /// seem. A command's delay counts from its sample, so the longest delay grows by this age, up
+    /// to the longest that a belief may have.
     #[must_use]
     pub fn with_sample_age(mut self, age_s: f64) -> Self {
         let delay_s = self.high.nonidealities.command_delay_s + age_s;
@@ -279,8 +281,8 @@ impl Belief {
         Ok(())
     }
 
-    /// The particles of this belief, those that are hardest to brake first. The encoders determine
-    /// the assumed errors of the estimated velocities.
+    /// The particles of this belief, with the hardest to brake first. The encoders determine the
+    /// assumed errors of the estimated velocities.
     #[must_use]
     pub fn particles(&self, encoders: Encoders) -> Vec<Particle> {
         let arm_rad_s = velocity_error_rad_s(encoders.theta);
@@ -479,7 +481,7 @@ mod tests {
         let exact = belief_of(&Profile::exact("exact", &lab.model()));
         let (correlated, apart) = (belief_of(&lab), belief_of(&apart));
         assert_ne!(correlated.steps, no_steps());
-        // Three standard errors of the resistance are 65 %, those of the pendulum's length 1.9 %.
+        // Three standard errors of the resistance are 65 %, and of the pendulum's length 1.9 %.
         let length = 3.0 * lab.standard_errors["L_p"] / lab.parameters.pendulum_length_m;
         assert!(is(half_width(&correlated, "R_m"), LEAST_MODEL_ERROR));
         assert!(is(half_width(&correlated, "L_p"), 0.1 - length));
@@ -488,7 +490,7 @@ mod tests {
         for belief in [correlated, apart, exact] {
             assert!(is(half_width(&belief, "command_delay_s"), 0.3));
             assert_eq!(belief.check(), Ok(()));
-            assert_eq!(belief.at_least_within(0.0), belief, "recordings that name no tolerance");
+            assert_eq!(belief.at_least_within(0.0), belief, "a tolerance of 0 changes nothing");
             let tolerated = belief.at_least_within(0.1);
             assert_eq!(tolerated.check(), Ok(()));
             assert!(half_width(&tolerated, "R_m") > 0.1 - 1e-9);
@@ -511,7 +513,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_that_identification_was_told_may_be_off_by_ten_percent() {
+    fn a_number_given_to_the_identification_may_be_off_by_ten_percent() {
         let mut fixed = Profile::lab();
         fixed.standard_errors.remove("R_m");
         assert!(is(half_width(&belief_of(&fixed), "R_m"), 0.1));
@@ -528,7 +530,7 @@ mod tests {
         let exact = Profile::exact("ideal", &QubeModel::NOMINAL);
         let undetermined = Profile { correlations, ..exact };
         for quantity in Quantity::all() {
-            // Far beyond the range that is believed of any Qube.
+            // This error is far beyond the range in the belief about any Qube.
             let errors = [(quantity.name().to_owned(), 100.0)].into();
             let profile = Profile { standard_errors: errors, ..undetermined.clone() };
             let belief = belief_of(&profile);
@@ -572,6 +574,9 @@ mod tests {
             belief.steps.iter().map(|step| step[friction.index()].abs()).fold(0.0, f64::max)
         };
         assert!(is(longest_n_m(&plant), STEP_STANDARD_ERRORS * error_n_m));
-        assert!(is(longest_n_m(&PlantModel::QUBE), 3.5e-4), "the uncertainty about any Qube");
+        assert!(
+            is(longest_n_m(&PlantModel::QUBE), 3.5e-4),
+            "no step exceeds the uncertainty about any Qube"
+        );
     }
 }

@@ -6,7 +6,7 @@ use crate::qube::{MAX_VOLTAGE_V, PlantModel, State};
 ///
 /// The voltage must fall as the arm's velocity grows, and on an arm at rest it must act like a
 /// spring. Under these conditions the motor only takes energy from arm and pendulum, apart from the
-/// energy that the spring stores, whatever the Qube's masses and lengths are.
+/// energy that the spring stores, for all masses and lengths of the Qube.
 pub trait BrakeLaw {
     /// The voltage for the next control period, V.
     fn voltage_v<T: Scalar>(&self, state: &State<T>) -> T;
@@ -58,7 +58,8 @@ impl Default for CentringBrake {
 
 impl CentringBrake {
     /// The brake of a plant: its voltages accelerate this plant's arm as the default brake's
-    /// accelerate a Qube's, and the spring becomes stiffer at the same fraction of the travel.
+    /// voltages accelerate a Qube's arm, and the spring becomes stiffer at the same fraction of the
+    /// travel.
     #[must_use]
     pub fn of_plant(plant: &PlantModel) -> Self {
         let (qube, volts) = (Self::default(), plant.volts_per_qube_volt());

@@ -56,7 +56,7 @@ enum Law {
     /// gain.
     EarlierStopping(StoppingBrake),
     /// `Centring` by the rules of older recordings, to replay them: ringing does not reduce the
-    /// gain, but after 150 control periods (1.5 s) the gain falls to 0.45 of its value.
+    /// gain, but after 150 control periods (1.5 s) the limited voltage is multiplied by 0.45.
     EarlierCentring(CentringBrake),
 }
 
@@ -65,7 +65,7 @@ enum Law {
 const TRIED_PERIODS: u32 = ForesightSettings::HORIZON_PERIODS;
 
 impl Brake {
-    /// A brake that stops the arm wherever it is and lets the pendulum move it afterwards.
+    /// A brake that stops the arm at any angle and lets the pendulum move it afterwards.
     #[must_use]
     pub fn stopping(plant: &PlantModel) -> Self {
         Self::new(Law::Stopping(StoppingBrake::of(plant)), plant)
@@ -82,8 +82,8 @@ impl Brake {
         Self { law, periods: 0, ringing }
     }
 
-    /// This brake under the rules of older recordings, to replay them: ringing does not reduce the
-    /// gain, but the centring brake's gain falls to 0.45 of its value after 1.5 s.
+    /// Returns this brake under the rules of older recordings, to replay them: ringing does not
+    /// reduce the gain, but after 1.5 s the centring brake's limited voltage is multiplied by 0.45.
     #[must_use]
     pub fn by_earlier_rules(self) -> Self {
         let law = match self.law {

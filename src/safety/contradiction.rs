@@ -5,11 +5,11 @@ use serde::{Deserialize, Serialize};
 use crate::qube::CONTROL_PERIOD_S;
 
 /// A motion of the Qube that contradicts its profile, because no simulated Qube within the
-/// profile's errors moves so.
+/// profile's errors moves in this way.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Contradiction {
     /// The angle that lay farther outside the range of the simulated Qubes' angles than allowed; if
-    /// both did, the one that lay farther outside.
+    /// both angles did, the angle that lay farther outside.
     pub angle: PredictedAngle,
     /// Distance of `angle` from the range, rad; `None` if no simulated angle was a finite number.
     pub beyond_rad: Option<f32>,

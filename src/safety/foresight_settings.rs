@@ -36,14 +36,14 @@ pub struct ForesightSettings {
     pub velocity_error_power: u32,
 }
 
-/// The belief about an identified Qube, and how long its simulation holds a voltage.
+/// The belief about an identified Qube, and the time for which its simulation holds a voltage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IdentifiedQube {
     /// Belief derived from the profile: the brake must hold for all of its Qubes.
     pub belief: Belief,
     /// Relative error, as a fraction, that any number of the profile except gravity and the delay
-    /// may have before the Qube's motion contradicts the profile, even where `belief` is narrower.
+    /// may have before the Qube's motion contradicts the profile, even if `belief` is narrower.
     /// Recordings that do not name it have 0: their motions are compared with `belief` itself.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub tolerance: f64,
@@ -61,7 +61,8 @@ fn is_no_power(power: &u32) -> bool {
 
 impl IdentifiedQube {
     /// Derives the belief about a specimen of this plant from its profile. A voltage is held for
-    /// four periods: its own, and those of the three samples that a link may lose in a row.
+    /// four periods: its own period, and the periods of the three samples that a link may lose in a
+    /// row.
     #[must_use]
     pub fn of(profile: &Profile, plant: &PlantModel) -> Self {
         let belief = Belief::of_profile(profile, plant);
@@ -69,7 +70,7 @@ impl IdentifiedQube {
     }
 
     /// The belief whose Qubes do not contradict the profile. None of them has a weak side: a Qube
-    /// with one moves so differently that an arm of twice the mass would go unnoticed.
+    /// with a weak side moves so differently that an arm of twice the mass would go unnoticed.
     #[must_use]
     pub fn tolerated(&self) -> Belief {
         Belief { weak_side: false, ..self.belief }.at_least_within(self.tolerance)
@@ -151,8 +152,8 @@ impl TryFrom<Unchecked> for ForesightSettings {
     }
 }
 
-/// Smallest angle of an end from the middle, rad; it keeps the ends on both sides of 0 whatever
-/// stops a file names.
+/// Smallest angle of an end from the middle, rad; it keeps the ends on both sides of 0 for all
+/// stops that a file may name.
 const NEAREST_END_RAD: f64 = 0.01;
 
 impl ForesightSettings {
@@ -169,7 +170,8 @@ impl ForesightSettings {
         Self { belief: Belief::of_any_plant(plant, 0.3), ..Self::default() }
     }
 
-    /// These settings behind a link whose samples may be up to `age_s` older than they seem, s.
+    /// Returns these settings for a link whose samples may be up to `age_s` seconds older than they
+    /// seem.
     #[must_use]
     pub fn with_sample_age(self, age_s: f64) -> Self {
         let identified = self
@@ -182,8 +184,8 @@ impl ForesightSettings {
     /// described, minus the margin, but at least 0.01 rad.
     ///
     /// # Panics
-    /// Panics if a number of the settings is outside the range that a file may give, as described
-    /// at [`Foresight::new`].
+    /// Panics if the settings give [`Foresight::new`] a number that it refuses; settings that were
+    /// read from a file give none.
     #[must_use]
     pub fn foresight(&self, stops: Option<MeasuredStops>, plant: &PlantModel) -> TrustedForesight {
         let described_rad = plant.limits.hard_stop_rad;
@@ -216,7 +218,8 @@ impl Default for ForesightSettings {
     ///
     /// After lost samples the errors of the velocities grow with the square of the time between two
     /// samples. A velocity is then the mean over that time, brought up to date by the present
-    /// acceleration; what is left is the change of the acceleration, which counts with the square.
+    /// acceleration; the rest of its error comes from the change of the acceleration and grows with
+    /// the square of that time.
     fn default() -> Self {
         Self {
             version: Self::VERSION,

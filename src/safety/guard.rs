@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "snake_case")]
 pub enum Guard {
     /// Only the box, and a brake that opposes the arm's velocity: the set-up of the thesis. A file
-    /// that names no guard means this one. The reader of such files selects it explicitly, because
-    /// [`Default`] is `Foresight`.
+    /// that names no guard means this guard. The reader of such files selects it explicitly,
+    /// because [`Default`] is `Foresight`.
     Box,
     /// A speed envelope, which old recordings name. This program has neither this guard nor its
     /// brake, so a replay compares such a rollout only until the arm is braked.
@@ -19,7 +19,7 @@ pub enum Guard {
 }
 
 impl Guard {
-    /// Whether only the box applies.
+    /// Returns whether only the box applies.
     #[must_use]
     pub fn is_box(&self) -> bool {
         *self == Self::Box

@@ -12,7 +12,8 @@ use crate::qube::{MotorRating, PlantModel, PlantName};
 pub struct GuardConsent(());
 
 impl GuardConsent {
-    /// Consent from the two flags of a command line; `None` unless both are given.
+    /// Consent from the two flags of a command line; `None` unless the first is [`Guard::Box`] and
+    /// the second is given.
     #[must_use]
     pub fn given(guard: Option<Guard>, accepts_hard_stop: bool) -> Option<Self> {
         (guard == Some(Guard::Box) && accepts_hard_stop).then_some(Self(()))
@@ -131,7 +132,7 @@ impl HardwareLimits {
         self.motor
     }
 
-    /// Whether every rollout within these limits uses foresight.
+    /// Returns whether every rollout within these limits uses foresight.
     #[must_use]
     pub fn needs_foresight(&self) -> bool {
         self.widest.guard == Guard::Foresight
@@ -140,8 +141,8 @@ impl HardwareLimits {
     /// Checks that a rollout may use this box.
     ///
     /// # Errors
-    /// The box is wider than these limits, has no guard where they require one, or has a guard that
-    /// only serves to replay old recordings.
+    /// The box is wider than these limits, has no guard although they require one, or has a guard
+    /// that only serves to replay old recordings.
     pub fn admit(&self, safety_box: &SafetyBox) -> Result<(), HardwareRefusal> {
         safety_box.check_within(&self.widest)?;
         safety_box.guard.check_driven()?;
@@ -170,8 +171,8 @@ impl Default for HardwareLimits {
 }
 
 impl SafetyBox {
-    /// Checks that each limit is a number above 0 and at most that of another box; the guards are
-    /// not compared.
+    /// Checks that each limit is a number above 0 and at most the limit of another box; the guards
+    /// are not compared.
     ///
     /// # Errors
     /// The first limit that fails the check.
@@ -259,11 +260,11 @@ mod tests {
                 Err(HardwareRefusal::GuardOff)
             );
         }
-        let of_the_past = SafetyBox { guard: Guard::Envelope, ..SafetyBox::THESIS };
+        let of_old_recordings = SafetyBox { guard: Guard::Envelope, ..SafetyBox::THESIS };
         let consent = GuardConsent::given(Some(Guard::Box), true);
         for consent in [None, consent] {
             assert_eq!(
-                HardwareLimits::of(of_the_past, consent),
+                HardwareLimits::of(of_old_recordings, consent),
                 Err(HardwareRefusal::EnvelopeGone)
             );
         }

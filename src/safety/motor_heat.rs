@@ -23,7 +23,7 @@ const LEAST_RESISTANCE_OHM: f64 = 3.5;
 /// Allowed zero error of the current sensor, A.
 const CURRENT_OFFSET_A: f64 = 0.1;
 
-/// Estimate of the winding's temperature rise relative to that at the rated continuous current,
+/// Estimate of the winding's temperature rise relative to the rise at the rated continuous current,
 /// from a first-order model with (current / rated current)^2 as its input, known as I^2 t.
 ///
 /// In the long run any current below the rating gives a load below 1. A more detailed thermal model
@@ -36,7 +36,7 @@ pub struct MotorHeat {
     pub rating: MotorRating,
     /// Load: 0 at ambient temperature, 1 in equilibrium at the rated current.
     pub load: f64,
-    /// Electrical constants of the motor; files that name none mean a Qube's.
+    /// Electrical constants of the motor; a file that names none means the constants of a Qube.
     #[serde(default, skip_serializing_if = "Winding::is_qube")]
     pub winding: Winding,
 }
@@ -79,8 +79,8 @@ impl MotorHeat {
         Self { rating, load: 0.0, winding: Winding::of(plant) }
     }
 
-    /// Whether the load has reached [`LARGEST_LOAD`] or is not a number, so that the arm is braked
-    /// and the motor must cool.
+    /// Returns whether the load has reached [`LARGEST_LOAD`] or is not a number, so that the arm is
+    /// braked and the motor must cool.
     #[must_use]
     pub fn is_overheated(&self) -> bool {
         self.load >= LARGEST_LOAD || self.load.is_nan()

@@ -11,7 +11,7 @@ pub struct Particle {
     /// Fraction of a negative voltage that arrives at the motor, 0 to 1.
     pub negative_share: f64,
     /// True state minus estimated state, from quantisation and the error of homing; foresight
-    /// computes the filter's lag itself. The errors of the angles persist, and those of the
+    /// computes the filter's lag itself. The errors of the angles persist, and the errors of the
     /// velocities decay.
     pub error: State,
 }

@@ -20,8 +20,8 @@ pub(super) const NEGATIVE_SHARE: usize = NUMBERS - 1;
 /// angle, and the delay. The fractions of positive and negative voltages that arrive follow.
 ///
 /// Searches for policies that throw the arm against its stop find only Qubes with weak motors,
-/// because a strong motor makes up for the uncertainty. The table therefore has all 16 corners of
-/// masses and lengths with a weak motor and the longest delay. Eight of the corners appear again
+/// because a strong motor compensates for the uncertainty. The table therefore has all 16 corners
+/// of masses and lengths with a weak motor and the longest delay. Eight of the corners appear again
 /// with the shortest delay, and eight with a strong motor. The friction of the joints, which only
 /// helps the brake, is at its lower end throughout. The fractions of the voltages that arrive are
 /// at their upper end throughout; `Belief::weak_side` lowers one of them in the first row.

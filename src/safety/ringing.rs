@@ -13,7 +13,7 @@ const LEAST_V: f64 = 1.0;
 /// Factor by which each change of sign that counts as ringing multiplies the gain.
 const GAIN_FACTOR: f64 = 0.8;
 
-/// Smallest gain, as a fraction of the full one. With it the strongest motor on the lightest arm
+/// Smallest gain, as a fraction of the full gain. With it the strongest motor on the lightest arm
 /// within 30 % of a nominal Qube's does not ring at 20 ms of delay.
 const LEAST_GAIN: f64 = 0.12;
 
@@ -22,8 +22,8 @@ const LEAST_GAIN: f64 = 0.12;
 /// A brake that is firm enough for a weak motor with a heavy arm rings on a strong motor with a
 /// light arm, because its voltage arrives late. A brake that rings has more gain than it needs, so
 /// a smaller gain is still firm: the product of gain, delay and the motor's acceleration stays just
-/// below the value at which the loop rings, whatever the Qube. `examples/braked_qubes.rs` counts
-/// the Qubes that come to rest with this factor and without it.
+/// below the value at which the loop rings, for every Qube. `examples/braked_qubes.rs` counts the
+/// Qubes that come to rest with this factor and without it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RingingGain {
     gain: f64,
@@ -46,12 +46,12 @@ impl RingingGain {
         }
     }
 
-    /// Scales and limits the voltage that the brake asks for, V. Ringing reduces the gain.
+    /// Scales and limits the voltage that the brake requests, V. Ringing reduces the gain.
     pub fn voltage_v(&mut self, wanted_v: f64) -> f64 {
         self.scaled_v(wanted_v, |gain| (GAIN_FACTOR * gain).max(LEAST_GAIN))
     }
 
-    /// Scales and limits the voltage that the brake asks for, V. Ringing leaves the gain as it is.
+    /// Scales and limits the voltage that the brake requests, V. Ringing leaves the gain as it is.
     pub fn voltage_at_same_gain_v(&mut self, wanted_v: f64) -> f64 {
         self.scaled_v(wanted_v, |gain| gain)
     }

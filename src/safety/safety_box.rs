@@ -42,8 +42,8 @@ pub enum Limit {
     AlphaDot,
     /// The speed envelope, which only old recordings name.
     Envelope,
-    /// Foresight: after the voltage that the policy asked for, the brake could no longer keep the
-    /// arm of every possible Qube away from its stop.
+    /// Foresight: after the voltage that the policy requested, the brake could not keep the arm of
+    /// every possible Qube away from its stop.
     Foresight,
     /// The profile: the Qube has moved out of the range that the profile's errors allow.
     Unpredicted,
@@ -90,7 +90,7 @@ impl SafetyBox {
     /// The limits of the thesis under foresight: the default of every rollout on a Qube.
     pub const GUARDED: Self = Self { guard: Guard::Foresight, ..Self::THESIS };
 
-    /// The box scaled to a plant's travel: its limit of theta shrinks where the plant's stops are
+    /// The box scaled to a plant's travel: its limit of theta shrinks if the plant's stops are
     /// nearer than a Qube's, and never grows.
     #[must_use]
     pub fn within_travel(&self, plant: &PlantModel) -> Self {
@@ -120,7 +120,7 @@ impl SafetyBox {
         }
     }
 
-    /// The first limit that a state violates; NaN violates every limit.
+    /// The first limit that a state violates; a quantity that is NaN violates its limit.
     #[must_use]
     pub fn violation(&self, state: &State) -> Option<Limit> {
         let keeps = |value: f64, limit: f64| value.abs() < limit;
@@ -139,7 +139,8 @@ impl SafetyBox {
 }
 
 impl<T: Scalar> SafetyBox<T> {
-    /// Whether a state keeps all limits, computed without a branch for loops over many pendulums.
+    /// Returns whether a state keeps all limits, computed without a branch for loops over many
+    /// pendulums.
     #[inline(always)]
     pub fn contains(&self, state: &State<T>) -> bool {
         (state.theta.abs() < self.theta)

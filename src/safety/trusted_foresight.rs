@@ -8,8 +8,8 @@ use crate::qube::{MAX_HISTORY, State};
 ///
 /// A profile must earn trust again in each rollout. The arm settles under the belief about any
 /// Qube. If the profile predicts the whole of that motion, the policy runs under the belief from
-/// the profile. A single sample whose angles lie outside the range of the predicted angles ends the
-/// trust.
+/// the profile. A single sample with an angle that lies farther outside the range of the predicted
+/// angles than allowed ends the trust.
 #[derive(Clone, Debug)]
 pub struct TrustedForesight {
     any: Foresight<CentringBrake>,
@@ -63,7 +63,7 @@ impl TrustedForesight {
     }
 
     /// Sets the number of control periods between the last two samples for both beliefs;
-    /// [`Foresight::sampled_after`] says why.
+    /// [`Foresight::sampled_after`] explains the effect.
     pub fn sampled_after(&mut self, periods: u32) {
         self.any.sampled_after(periods);
         if let Some(Identified { foresight, prediction, .. }) = &mut self.identified {
@@ -72,7 +72,8 @@ impl TrustedForesight {
         }
     }
 
-    /// Takes the velocities of the last sample to be as exact as any, for both beliefs.
+    /// Assumes that the velocities of the last sample are as exact as without lost samples, in the
+    /// foresight of both beliefs; the prediction beside the Qube does not assume it.
     pub fn trust_velocities(&mut self) {
         self.any.trust_velocities();
         if let Some(Identified { foresight, .. }) = &mut self.identified {
@@ -80,9 +81,9 @@ impl TrustedForesight {
         }
     }
 
-    /// Returns how a sample contradicts the profile while the belief from the profile decides.
-    /// Takes the sample's estimated state and device time, us, and the commands before it (V,
-    /// newest first).
+    /// Returns the contradiction between a sample and the profile while the belief from the profile
+    /// decides. Takes the sample's estimated state and device time, us, and the commands before it
+    /// (V, newest first).
     ///
     /// A sample that contradicts the profile always ends the trust, but while the arm settles the
     /// other belief decides, and this method then returns `None`.
@@ -113,8 +114,8 @@ impl TrustedForesight {
         }
     }
 
-    /// The particle of the deciding belief that the brake would stop too late after this voltage,
-    /// `None` if there is none; [`Foresight::predict`] explains the arguments.
+    /// The particle of the deciding belief that the brake would stop too late after this voltage;
+    /// `None` if there is no such particle. [`Foresight::predict`] explains the arguments.
     #[must_use]
     pub fn too_late_for(
         &mut self,
@@ -136,7 +137,7 @@ impl TrustedForesight {
         (!outlook.holds).then_some(Foreseen { identified, particle, beyond_rad })
     }
 
-    /// The prediction for the voltage of the last [`Self::too_late_for`].
+    /// The prediction for the voltage of the last [`Self::too_late_for`]; `None` before the first.
     #[must_use]
     pub fn angle(&self) -> Option<ForeseenAngle> {
         self.angle

@@ -1,11 +1,11 @@
 use crate::qube::MAX_VOLTAGE_V;
 
-/// The error of a controller that asked for a voltage that is NaN or infinite.
+/// The error of a controller that requested a voltage that is NaN or infinite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotFinite;
 
-/// Converts a wanted voltage, V, to millivolts and limits it to the plant's largest voltage and to
-/// the wire's: the last step before the wire. A largest voltage that is not above 0 V gives 0 mV.
+/// Converts a requested voltage, V, to millivolts and limits it to the largest voltages of plant
+/// and wire: the last step before the wire. A largest voltage that is not above 0 V gives 0 mV.
 ///
 /// # Errors
 /// [`NotFinite`] for NaN and infinities.

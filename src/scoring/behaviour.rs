@@ -14,7 +14,7 @@ const LAST_STEPS: usize = 300;
 const CHATTERING_SHARE: f64 = 0.5;
 
 /// Root mean square voltage, V, from which the pendulum counts as held by force; quiet balancing
-/// takes less.
+/// needs less.
 const CHATTERING_RMS_V: f64 = 1.0;
 
 /// Sign changes of the voltage per second from which holding by force counts as chattering: 6,
@@ -22,8 +22,8 @@ const CHATTERING_RMS_V: f64 = 1.0;
 const CHATTERING_CHANGES_PER_S: f64 = 6.0;
 
 /// The class of a rollout's behaviour, computed from its recording. Each rollout has exactly one
-/// class: a successful one is [`Balanced`](Self::Balanced), whatever its voltage, and one without a
-/// result has [`Fault`](Self::Fault) in tables.
+/// class: a successful rollout is [`Balanced`](Self::Balanced) at any voltage, and a rollout
+/// without a result has [`Fault`](Self::Fault) in tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Behaviour {
@@ -34,11 +34,12 @@ pub enum Behaviour {
     /// Balanced quietly for the last second, but with a return below 400, as after a late swing-up.
     #[serde(rename = "stood_late")]
     BalancedLate,
-    /// Left the safety box, or was ended by the guard.
+    /// Left the safety box, or was ended by the guard or by the motor's load.
     LeftBox,
     /// Kept the pendulum near upright (within 0.5 rad in at least half of the last 300 steps)
-    /// without balancing it for the last second. Or balanced it then, with a return below 400, by a
-    /// voltage of at least 1 V (root mean square) whose sign changed at least six times.
+    /// without balancing it for the last second. The class also contains rollouts that balanced it
+    /// for the last second, with a return below 400, by a voltage of at least 1 V (root mean
+    /// square) whose sign changed at least six times.
     Chattered,
     /// Never brought the pendulum up, or lost it.
     Fell,
@@ -94,7 +95,8 @@ fn of_a_failure(running: &[&TickRecord]) -> Behaviour {
     }
 }
 
-/// Whether the voltage in these ticks is large and alternates often enough to count as chattering.
+/// Returns whether the voltage in these ticks is large and alternates often enough to count as
+/// chattering.
 fn chatters(ticks: &[&TickRecord]) -> bool {
     let mut quietness = Quietness::NONE;
     // The motor of the plant only affects the losses, which are not used here.
@@ -135,7 +137,8 @@ mod tests {
         assert_eq!(behaviour(|_| 0.1, |_| 0.0), Behaviour::Fell);
         // The pendulum is up for the first four seconds, then lost.
         assert_eq!(behaviour(|tick| if tick < 400 { PI } else { 0.5 }, |_| 1.0), Behaviour::Fell);
-        // The pendulum swings about upright from side to side, whichever way it went up.
+        // The pendulum swings about upright from side to side, for either direction of the
+        // swing-up.
         for up in [PI, -PI] {
             let swinging = |tick: u32| up + 0.35 * (f64::from(tick) * 0.3).sin();
             assert_eq!(behaviour(swinging, alternating), Behaviour::Chattered);

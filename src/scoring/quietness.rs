@@ -10,18 +10,20 @@ const CATCH_TICKS: usize = 50;
 
 /// Mean change of the voltage above which balancing is loud, V a tick. The preset `robust` trains
 /// for less than 0.3; its policies around identified Qubes change 0.2 to 0.45
-/// (`scripts/session-study.py`), and policies that nothing keeps quiet 1 to 3.
+/// (`scripts/session-study.py`), and policies that are trained without a penalty for voltage
+/// changes 1 to 3.
 const LOUD_CHANGE_V: f64 = 0.6;
 
-/// Sign changes of the voltage above which balancing is loud, 1/s: twice what the preset `robust`
-/// trains for; policies that nothing keeps quiet make 55 to 80.
+/// Sign changes of the voltage above which balancing is loud, 1/s: twice the number that the preset
+/// `robust` trains for; policies that are trained without a penalty for voltage changes make 55 to
+/// 80.
 const LOUD_SIGN_CHANGES_PER_S: f64 = 40.0;
 
 /// The quietness of balancing over the recorded ticks of any number of rollouts: size and frequency
 /// of voltage changes, and their cost.
 ///
-/// A tick counts if the policy has the motor and the pendulum has been nearly upright for the half
-/// second before the tick.
+/// A tick counts if the policy drives the motor and the pendulum has been nearly upright for the
+/// half second before the tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quietness {
     ticks: u64,
@@ -74,7 +76,7 @@ impl Quietness {
         }
     }
 
-    /// Adds every tick of these except the first, whatever the pendulum does.
+    /// Adds every tick of these except the first, for any motion of the pendulum.
     pub(super) fn add_stretch(&mut self, ticks: &[&TickRecord], plant: &PlantModel) {
         for pair in ticks.windows(2) {
             self.add_tick(pair[0], pair[1], plant);
@@ -101,7 +103,7 @@ impl Quietness {
         self.losses_w += other.losses_w;
     }
 
-    /// Whether balancing is loud: it buzzes audibly, heats the motor and wears its brushes.
+    /// Returns whether balancing is loud: it buzzes audibly, heats the motor and wears its brushes.
     #[must_use]
     pub fn is_loud(&self) -> bool {
         self.figures().is_some_and(|figures| {
@@ -177,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn swing_up_catch_other_phases_and_what_falls_do_not_count() {
+    fn swing_up_catch_other_phases_and_a_hanging_pendulum_do_not_count() {
         let loud = |tick: u32| if tick.is_multiple_of(2) { 5000 } else { -5000 };
         assert_eq!(Quietness::of(&rollout(600, |_| 0.5, loud), &PlantModel::QUBE).figures(), None);
         // The pendulum is up at tick 100 and counts from tick 150 on.

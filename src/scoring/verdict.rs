@@ -13,7 +13,7 @@ pub enum Verdict {
     Result {
         /// Return, the sum of the rewards.
         return_: f64,
-        /// Whether the rollout took all steps, balanced for its last second, and earned
+        /// True if the rollout took all steps, balanced for its last second, and earned
         /// [`SUCCESS_RETURN`](super::criterion::SUCCESS_RETURN) or more.
         success: bool,
         /// Outcome with its latencies.
@@ -51,7 +51,7 @@ impl Verdict {
         }
     }
 
-    /// Whether the rollout has a result and succeeded.
+    /// Returns whether the rollout has a result and succeeded.
     #[must_use]
     pub fn is_success(&self) -> bool {
         matches!(self, Self::Result { success: true, .. })

@@ -14,7 +14,7 @@ use crate::surrogate::{
 
 /// Bayesian optimisation of the return over a box (BayRn: Eilers 2019, Muratore et al. 2021).
 ///
-/// The first points are uniformly random or a Sobol sequence, as the settings say. After them a
+/// The first points are uniformly random or a Sobol sequence, as the settings specify. After them a
 /// Gaussian process is fitted to the mean returns, and each new point maximises an acquisition
 /// function. The recommendation is the maximum of the posterior mean over the whole box, a point
 /// that need not have been evaluated.
@@ -85,7 +85,7 @@ impl BayRn {
     /// The noisy expected improvement averages over the returns that pending points may have. For
     /// the other functions the surrogate is conditioned at each pending point on its posterior mean
     /// there ("kriging believer", Ginsbourger et al. 2010). Both methods reduce the uncertainty at
-    /// the pending points and drive the next point elsewhere.
+    /// the pending points and drive the next point away from them.
     fn acquire(
         &self,
         process: &GaussianProcess,
@@ -137,8 +137,8 @@ impl BayRn {
     }
 }
 
-/// Number of candidates around which the maximiser samples more densely: those with the highest
-/// posterior means.
+/// Number of candidates around which the maximiser samples more densely: the candidates with the
+/// highest posterior means.
 const HINTS: usize = 5;
 
 /// Posterior means at the points of a process's data, evaluated and pending ones, each with its
@@ -162,8 +162,8 @@ fn on<C: Criterion>(process: &GaussianProcess, criterion: C) -> OnProcess<'_, C>
 }
 
 impl Strategy for BayRn {
-    /// Chooses the points after the initial ones one after the other, each as if those before it
-    /// were pending.
+    /// Chooses the points after the initial ones one after the other, each as if the points before
+    /// it were pending.
     fn propose(
         &mut self,
         data: &[Observation],
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resumed_search_goes_on_as_if_nothing_had_happened() {
+    fn a_resumed_search_continues_like_one_that_was_never_stopped() {
         let kind = AcquisitionKind::KnowledgeGradient;
         let whole = evaluated(&mut BayRn::new(search_box(), settings(kind), 9).unwrap(), vec![], 9);
         for stopped in [0, 3, 5, 7] {

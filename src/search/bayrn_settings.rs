@@ -118,7 +118,7 @@ pub enum IncumbentRule {
     /// Largest observed mean return, as in the thesis. With noisy returns it often belongs to a
     /// lucky candidate, not to the best one.
     LargestObserved,
-    /// Largest posterior mean at the candidates, those that are pending included.
+    /// Largest posterior mean at the candidates, pending candidates included.
     #[default]
     BestPosteriorMean,
 }
@@ -131,7 +131,7 @@ pub enum NoiseModel {
     Shared,
     /// The fitted variance plus a variance of each candidate's own, which is estimated from the
     /// spread of its returns ([`crate::surrogate::noise_of_means`]). If no candidate has two
-    /// returns, as [`Self::Shared`].
+    /// returns, this model equals [`Self::Shared`].
     #[default]
     PerCandidate,
 }
@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn senseless_settings_are_named() {
+    fn settings_out_of_range_are_refused() {
         for bad in [
             BayRnSettings { initial_points: 0, ..BayRnSettings::default() },
             BayRnSettings { beta: f64::NAN, ..BayRnSettings::default() },

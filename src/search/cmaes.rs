@@ -26,11 +26,11 @@ struct Constants {
     weights: Vec<f64>,
     /// Effective number of parents, `mu_eff`.
     effective: f64,
-    /// Rate at which the path of the step size forgets, `c_sigma`.
+    /// Decay rate of the path of the step size, `c_sigma`.
     path_decay: f64,
     /// Damping of the changes of the step size, `d_sigma`.
     path_damping: f64,
-    /// Rate at which the path of the covariance forgets, `c_c`.
+    /// Decay rate of the path of the covariance, `c_c`.
     covariance_path_decay: f64,
     /// Learning rate of the rank-one update of the covariance, `c_1`.
     rank_one: f64,
@@ -212,7 +212,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn constants_are_the_tutorials() {
+    fn the_constants_have_the_values_of_the_tutorial() {
         let c = Constants::new(8);
         assert_eq!((c.population, c.weights.len()), (10, 5));
         assert!((c.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn learns_the_scales_of_an_ellipsoid() {
+    fn the_search_learns_the_scales_of_an_ellipsoid() {
         let search_box = SearchBox::unit(4).unwrap();
         let mut search = CmaEs::new(search_box, 3);
         let scales = [1.0, 3.0, 10.0, 30.0];

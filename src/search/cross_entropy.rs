@@ -32,7 +32,8 @@ impl CrossEntropy {
         Self { search_box, seed }
     }
 
-    /// Number of candidates in a generation: few enough for several generations in a budget of 25.
+    /// Number of candidates in a generation: few enough for several generations among 25
+    /// candidates.
     fn generation(&self) -> usize {
         4 + self.search_box.dimensions() / 2
     }

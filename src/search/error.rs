@@ -2,7 +2,7 @@ use thiserror::Error;
 
 use crate::surrogate::SurrogateError;
 
-/// The reason why a strategy cannot propose or recommend a point.
+/// The reason why a strategy cannot be built, or cannot propose or recommend a point.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SearchError {
     /// A candidate has no return.

@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bad_observations_are_named() {
+    fn bad_observations_are_refused() {
         let search_box = SearchBox::unit(1).unwrap();
         let good = Observation { point: vec![0.5], returns: vec![1.0, 3.0] };
         let check_second = |second: Observation| check(&search_box, &[good.clone(), second]);
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn mean_error_and_best() {
+    fn the_mean_the_error_and_the_best_of_known_returns_are_exact() {
         let of = |returns: &[f64]| Observation { point: vec![0.5], returns: returns.to_vec() };
         assert_eq!(of(&[1.0, 3.0]).mean_return(), 2.0);
         assert_eq!(of(&[1.0, 3.0]).standard_error(), Some(1.0));

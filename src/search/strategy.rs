@@ -9,7 +9,7 @@ use super::{Observation, SearchError};
 /// have to be stored. The data must be in the order in which the points were proposed.
 pub trait Strategy: Send {
     /// Proposes `count` points to evaluate next, in the box's units. `pending` are the points that
-    /// were proposed after those of the data and whose returns are not known yet.
+    /// were proposed after the points of the data and whose returns are not known yet.
     ///
     /// # Errors
     /// A point of the data or a pending point lies outside the box, a candidate has no return or

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn every_strategy_names_bad_data() {
+    fn every_strategy_refuses_bad_data() {
         let inside = vec![1.0, 0.0, 1.5e-3];
         let outside = Observation { point: vec![1.0, 9.0, 1.5e-3], returns: vec![1.0] };
         let nan = Observation { point: inside.clone(), returns: vec![1.0, f64::NAN] };

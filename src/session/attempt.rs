@@ -1,7 +1,7 @@
 /// An attempt at a rollout of a policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RolloutAttempt {
-    /// Number of the rollout among those of the policy, from 0.
+    /// Number of the rollout among the policy's rollouts, from 0.
     pub rollout: u32,
     /// Number of the attempt at this rollout, from 0.
     pub attempt: u32,
@@ -17,14 +17,14 @@ impl RolloutAttempt {
 pub struct AttemptId {
     /// Number of the candidate.
     pub candidate: u32,
-    /// Number of the rollout among those of the candidate, from 0.
+    /// Number of the rollout among the candidate's rollouts, from 0.
     pub rollout: u32,
     /// Number of the attempt at this rollout, from 0.
     pub attempt: u32,
 }
 
 impl AttemptId {
-    /// The same attempt among those of the candidate's policy.
+    /// The same attempt among the attempts of the candidate's policy.
     #[must_use]
     pub fn of_policy(self) -> RolloutAttempt {
         RolloutAttempt { rollout: self.rollout, attempt: self.attempt }

@@ -1,5 +1,5 @@
-//! Reads files of session settings: a session's own `session.toml` to resume it, or a file that
-//! overrides a preset. A misspelt key is an error.
+//! Reads files of session settings: a session's own `session.toml` to show or resume it, or a file
+//! that overrides a preset. A misspelt key is an error.
 
 use std::path::Path;
 
@@ -20,9 +20,9 @@ use crate::storage::{SETTINGS_BYTES, read_text};
 impl SessionSettings {
     /// Reads a session's complete configuration to show it. Entries that a file of an earlier
     /// version lacks get the values under which that version ran: a file without a guard selects
-    /// the box alone, and one without `verifies_incumbent` verifies only the recommendation. Other
-    /// missing entries have their defaults or, in a table that is always written whole, are errors.
-    /// Entries that this version does not have any more are ignored.
+    /// the box alone, and a file without `verifies_incumbent` verifies only the recommendation.
+    /// Other missing entries have their defaults or, in a table that is always written whole, are
+    /// errors. Entries of earlier versions that this version lacks are ignored.
     ///
     /// # Errors
     /// The file cannot be read or is not a configuration, or a setting is unknown or out of its
@@ -68,7 +68,7 @@ impl SessionSettings {
             without_retired = seed + &toml::to_string(&table)?;
             entries = LocatedEntries::of(&without_retired, None, path)?;
         }
-        // A session writes its tables whole, so one that lacks an entry is damaged.
+        // A session writes its tables whole, so a table that lacks an entry is damaged.
         entries.read::<Self>()?;
         Ok((Self::of_oldest_files().with_overrides(&entries)?, retired))
     }
@@ -90,9 +90,9 @@ impl SessionSettings {
     }
 
     /// Configures a new session like [`overridden_by`](Self::overridden_by). If the file names an
-    /// estimator only for the Qube or only for simulations, it applies to both, because a policy
-    /// should train on states that are estimated as they will be on the Qube. Simulations that show
-    /// true states, as the file says, continue to do so.
+    /// estimator only for the Qube or only for simulations, the estimator applies to both, because
+    /// a policy should train on states that are estimated as they will be on the Qube. Simulations
+    /// that show true states according to the file keep them.
     ///
     /// # Errors
     /// The errors of [`overridden_by`](Self::overridden_by).
@@ -176,7 +176,7 @@ impl SessionSettings {
             }
         }
         merge_into(all.table.get_mut(), table.into_inner());
-        // The places of the file's entries are those in its own text.
+        // The places of the file's entries refer to its own text.
         let settings: Self = LocatedEntries { text: above.text, ..all }.read()?;
         settings.checked(above.path)
     }
@@ -207,8 +207,8 @@ fn out_of_range(path: &Path, reason: String) -> ConfigurationError {
     ConfigurationError::OutOfRange { path: path.to_owned(), line: None, reason }
 }
 
-/// The tables that may have an `observer`, which is absent by default. Where a file names some of
-/// its entries, the others have their defaults.
+/// The tables that may have an `observer`, which is absent by default. If a file names some entries
+/// of an observer, the others have their defaults.
 const OBSERVERS: [&[&str]; 3] =
     [&["estimator"], &["homing", "estimator"], &["training", "simulation", "sensors", "estimator"]];
 
@@ -251,7 +251,7 @@ mod tests {
         let text = format!("{sensors}\n[training.simulation.sensors.{observer}\n[{observer}");
         let settings = overridden(&text).unwrap();
         let SensorModel::Encoders { estimator } = settings.training.simulation.sensors else {
-            panic!("the sensors are encoders");
+            panic!("the sensors are not encoders");
         };
         for estimator in [settings.estimator, estimator] {
             assert_eq!(estimator.observer.unwrap().reset_error_rad, 0.2);
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_replaces_what_it_names_and_leaves_the_rest_of_the_preset() {
+    fn a_file_replaces_the_entries_that_it_names_and_keeps_the_rest_of_the_preset() {
         let settings = overridden("seed = 7\n[extent]\nrollouts = 3\n").unwrap();
         let thesis = SessionSettings::thesis();
         assert_eq!(settings.seed, 7);
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_a_version_without_an_entry_keeps_the_value_of_before() {
+    fn a_file_of_a_version_without_an_entry_keeps_the_value_of_that_version() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("session.toml");
         let written = SessionSettings::thesis().to_toml().unwrap();
@@ -323,7 +323,11 @@ mod tests {
         let older = settings.to_toml().unwrap();
         let older = older.replace("[training]\n", "[training]\nwidening = 0.6\n");
         std::fs::write(&path, older).unwrap();
-        assert_eq!(SessionSettings::load(&path).unwrap().seed, u64::MAX, "beside a retired entry");
+        assert_eq!(
+            SessionSettings::load(&path).unwrap().seed,
+            u64::MAX,
+            "the seed is read beside a retired entry"
+        );
     }
 
     #[test]
@@ -396,7 +400,7 @@ mod tests {
         }
         let simulated = overridden(&format!("[training.simulation.sensors.{of_observer}")).unwrap();
         let SensorModel::Encoders { estimator } = simulated.training.simulation.sensors else {
-            panic!("the sensors are encoders");
+            panic!("the sensors are not encoders");
         };
         let mut observer = ObserverSettings::default();
         observer.model.parameters.motor_resistance_ohm = 9.0;
@@ -429,13 +433,15 @@ mod tests {
         let delay = settings.distribution(&psi).unwrap().get(Nonideality::CommandDelay);
         assert_eq!(delay.mean(), 0.02);
         let sensors = settings.simulation(&psi).sensors;
-        let SensorModel::Encoders { estimator } = sensors else { panic!("{sensors:?}") };
+        let SensorModel::Encoders { estimator } = sensors else {
+            panic!("the sensors are not encoders");
+        };
         assert_eq!(estimator.corner_rad_s, 50.0);
         assert!(settings.search().is_ok());
     }
 
     #[test]
-    fn an_estimator_that_a_file_names_for_one_is_that_of_machine_and_simulation() {
+    fn an_estimator_that_a_file_names_once_applies_to_machine_and_simulation() {
         let configured = |text: &str| {
             let directory = tempfile::tempdir().unwrap();
             let path = directory.path().join("my.toml");
@@ -555,7 +561,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_cannot_be_is_an_error_with_its_line() {
+    fn an_impossible_value_is_an_error_with_its_line() {
         for (text, line, name) in [
             ("[training]\nupdates = 0\n", 2, "training.updates = 0"),
             ("[training]\n\nlearning_rate = nan\n", 3, "training.learning_rate = NaN"),

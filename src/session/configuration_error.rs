@@ -17,7 +17,7 @@ pub enum ConfigurationError {
         /// Cause of the failure.
         source: std::io::Error,
     },
-    /// The file is not TOML, has an unknown key, or a value of the wrong type.
+    /// The file is not TOML, has an unknown key or a value of the wrong type, or lacks an entry.
     #[error("{path}: {}", toml_message(source))]
     Invalid {
         /// Path of the file.
@@ -41,10 +41,10 @@ pub enum ConfigurationError {
 }
 
 impl ConfigurationError {
-    /// Adds the line of the wrong value to an error about a range, and names the value as the file
-    /// does, which may be by an earlier name or without a unit; other errors stay as they are.
-    /// `text` is the content of the file, and `above` the prefix of the value's key in it, with the
-    /// dot at its end.
+    /// Adds the line of the wrong value to an error about a range, and gives the value the name
+    /// that it has in the file, which may be an earlier name or lack the unit; other errors stay as
+    /// they are. `text` is the content of the file, and `above` the prefix of the value's key in
+    /// it, with the dot at its end.
     #[must_use]
     pub fn located(self, text: &str, above: &str) -> Self {
         match self {

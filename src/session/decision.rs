@@ -3,7 +3,7 @@
 use super::settings::INITIAL_AROUND;
 use super::{CandidateRank, ScoredCandidate};
 
-/// Smallest gain that is worth one more candidate, as a fraction of the verified return.
+/// Smallest gain in return that is worth one more candidate, as a fraction of the verified return.
 pub const WORTHWHILE_GAIN: f64 = 0.01;
 
 /// The next move of the search around an identified Qube.
@@ -17,11 +17,11 @@ pub enum Decision {
         candidate: u32,
     },
     /// End the search if the verified policy is quiet and the estimated gain of one more candidate
-    /// is less than `smallest_gain`; evaluate it otherwise.
+    /// is less than `smallest_gain`; otherwise evaluate one more candidate.
     EndBelow {
         /// Number of the candidate that verified the policy.
         verification: u32,
-        /// Smallest gain that is worth a candidate.
+        /// Smallest gain in return that is worth a candidate.
         smallest_gain: f64,
     },
     /// End the search: the largest number of candidates is reached, and the best one is verified.
@@ -32,7 +32,7 @@ pub enum Decision {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SearchEnd {
     /// A policy succeeded quietly in all its verifying rollouts, and one more candidate was not
-    /// worth its while ([`WORTHWHILE_GAIN`]).
+    /// worthwhile ([`WORTHWHILE_GAIN`]).
     Verified,
     /// The largest number of candidates, this one, was reached.
     Candidates(u32),
@@ -90,19 +90,19 @@ impl GainSource {
         }
     }
 
-    /// Says what a gain in return from this source means; a sentence without capital letter and
-    /// full stop.
+    /// Describes a gain in return from this source; a sentence without capital letter and full
+    /// stop.
     #[must_use]
     pub fn words(self, gain: f64) -> String {
         // Smaller gains would read as 0.0.
         let is_none = gain < 0.05;
         match self {
             Self::Surrogate { candidates } if is_none => format!(
-                "by the surrogate, which rests on {candidates} candidates, no other psi promises a higher return than \
-                 the best so far"
+                "by the surrogate, which is fitted to {candidates} candidates, no other psi has a higher expected \
+                 return than the best so far"
             ),
             Self::Surrogate { candidates } => format!(
-                "by the surrogate, which rests on {candidates} candidates, the best psi not yet tried promises a \
+                "by the surrogate, which is fitted to {candidates} candidates, the best psi not yet tried has an expected \
                  return {gain:.1} higher than the best so far"
             ),
             Self::Simulations if is_none => {
@@ -118,7 +118,7 @@ impl GainSource {
     }
 }
 
-/// Whether the search has its largest number of candidates.
+/// Returns whether the search has its largest number of candidates.
 fn is_full(candidates: &[ScoredCandidate], largest: u32) -> bool {
     let searched = candidates.iter().filter(|it| it.candidate.purpose.is_searched());
     searched.count() as u32 >= largest
@@ -134,8 +134,8 @@ fn is_full(candidates: &[ScoredCandidate], largest: u32) -> bool {
 /// estimated gain of one more candidate is at least the fraction [`WORTHWHILE_GAIN`] of the
 /// verified return. If a verifying rollout failed, the search continues in any case.
 ///
-/// At the largest number of candidates the best one is verified, unless it is verified already,
-/// whether or not its rollouts succeeded, and the search ends.
+/// At the largest number of candidates the best candidate is verified even if its rollouts failed.
+/// Once it is verified, the search ends.
 #[must_use]
 pub fn decide(candidates: &[ScoredCandidate], largest: u32) -> Decision {
     let searched = || candidates.iter().filter(|it| it.candidate.purpose.is_searched());
@@ -213,7 +213,7 @@ mod tests {
     const BAD: (f64, bool) = (120.0, false);
 
     #[test]
-    fn a_gain_of_a_failed_session_does_not_read_as_nothing_to_gain() {
+    fn the_gain_after_a_failed_verification_is_described_with_its_size() {
         let mut candidates: Vec<ScoredCandidate> =
             (0..2).map(|number| scored(number, Purpose::Initial, 0.1, &[BAD])).collect();
         candidates.push(scored(2, Purpose::Incumbent, 0.1, &[BAD]));
@@ -224,8 +224,8 @@ mod tests {
         candidates.push(scored(3, Purpose::Search, 0.2, &[BAD]));
         let source = GainSource::of(&candidates);
         assert_eq!(source, GainSource::Surrogate { candidates: 3 });
-        assert!(source.words(3.0).contains("rests on 3 candidates"), "{}", source.words(3.0));
-        assert!(source.words(0.01).contains("no other psi promises"), "{}", source.words(0.01));
+        assert!(source.words(3.0).contains("fitted to 3 candidates"), "{}", source.words(3.0));
+        assert!(source.words(0.01).contains("no other psi has a higher"), "{}", source.words(0.01));
     }
 
     #[test]

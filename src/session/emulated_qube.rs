@@ -25,7 +25,8 @@ pub struct EmulatedQubeSettings {
     /// Effects beyond the equations.
     #[serde(default, skip_serializing_if = "has_none")]
     pub effects: Effects,
-    /// Whether the guard treats this Qube as not identified; otherwise the guard knows the model.
+    /// True if this Qube counts as not identified while it has no profile; otherwise the guard
+    /// knows the model.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub unidentified: bool,
 }
@@ -54,7 +55,7 @@ pub enum EmulatedQubeError {
         /// Largest accepted value.
         largest: f64,
     },
-    /// An effect that only the emulator has, such as play.
+    /// A number of the effects that only the emulator has, such as slack.
     #[error("effects.{0}")]
     Effect(#[from] EffectError),
 }
@@ -99,8 +100,8 @@ impl EmulatedQubeSettings {
     }
 
     /// The name of this specimen of a plant: `ideal` if it is nominal, `lab` if it differs from the
-    /// nominal one as the Qube in the profile `lab` does, otherwise `other`. Jitter, backlash and
-    /// effects make it another.
+    /// nominal one as the Qube in the profile `lab` does, otherwise `other`. With jitter, backlash
+    /// or effects the name is `other`.
     #[must_use]
     pub fn name(&self, plant: &PlantModel) -> &'static str {
         let is_plain =
@@ -123,7 +124,7 @@ impl EmulatedQubeSettings {
         for parameter in DomainParameter::ALL {
             parameters.set(parameter, varied(parameters.get(parameter)));
         }
-        // The cable's rest angle stays: it is a place, and a fraction of it means nothing.
+        // The cable's rest angle stays: it is a position, of which a fraction has no meaning.
         for strength in [
             &mut nonidealities.coulomb_torque_n_m,
             &mut nonidealities.positive_dead_zone_v,

@@ -10,8 +10,8 @@ pub enum Entry {
     Begun {
         /// The checksum of `session.toml`, as [`crate::storage::checksum_of`] computes it.
         settings: String,
-        /// Whether the checksum of each later line includes that of the line before it, so that no
-        /// line can be removed unnoticed. Ledgers of older programs are not chained.
+        /// True if the checksum of each later line includes the checksum of the line before it, so
+        /// that no line can be removed unnoticed. Ledgers of older programs are not chained.
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         chained: bool,
     },
@@ -58,7 +58,7 @@ pub enum Entry {
         recordings: u32,
         /// The fit's verdict by its name: `fits` or `fits_but`.
         verdict: String,
-        /// Names of the effects that the verdict says are missing.
+        /// Names of the effects that are missing according to the verdict.
         doubts: Vec<String>,
         /// The checksum of the profile, as [`crate::storage::checksum_of`] computes it. It protects
         /// the file, which determines the guard.
@@ -70,8 +70,7 @@ pub enum Entry {
         /// Reason, as a text for the operator.
         reason: String,
     },
-    /// Further recordings left the profile as it was: those of the verification, or those of the
-    /// search.
+    /// Further recordings, of the verification or of the search, left the profile as it was.
     NotUpdated {
         /// Number of recordings, of the search and before it, from which a fit gave no new profile;
         /// `None` for the recordings of the verification.
@@ -141,20 +140,20 @@ impl Entry {
 }
 
 impl Purpose {
-    /// Whether the candidate belongs to the search, so that it has a psi to be evaluated.
+    /// Returns whether the candidate belongs to the search and has a psi to be evaluated.
     #[must_use]
     pub fn is_searched(self) -> bool {
         matches!(self, Self::Initial | Self::Search)
     }
 
-    /// Whether the candidate's rollouts inform the method: they identify the Qube or evaluate a
-    /// psi.
+    /// Returns whether the candidate's rollouts inform the method: they identify the Qube or
+    /// evaluate a psi.
     #[must_use]
     pub fn informs(self) -> bool {
         self == Self::Excitation || self.is_searched()
     }
 
-    /// Whether the candidate's rollouts verify the result.
+    /// Returns whether the candidate's rollouts verify the result.
     #[must_use]
     pub fn verifies(self) -> bool {
         matches!(self, Self::Verification | Self::Incumbent)

@@ -18,7 +18,7 @@ pub enum SessionError {
     /// A stop was requested.
     #[error("stopped")]
     Stopped,
-    /// A rollout was ended by faults as often as allowed.
+    /// A rollout was void as often as allowed.
     #[error(
         "rollout {rollout} of candidate {candidate} was ended by a fault {tries} times, last: {reason}. \
          The motor is off; look at the Qube"
@@ -48,7 +48,7 @@ pub enum SessionError {
         /// Reason why the restart failed.
         source: Box<RigError>,
     },
-    /// A fault ended a rollout and left a doubt about a sensor or the motor.
+    /// A fault ended a rollout and left a doubt about the Qube.
     #[error("rollout {rollout} of candidate {candidate} is void: {doubt}")]
     InDoubt {
         /// Number of the candidate.
@@ -58,7 +58,7 @@ pub enum SessionError {
         /// Doubt about the Qube.
         doubt: Box<Doubt>,
     },
-    /// The settings are not those that the session began with.
+    /// The settings differ from the session's first settings.
     #[error(
         "{path} was changed since this session began: restore it, or begin a new session with these \
          settings"
@@ -76,7 +76,7 @@ pub enum SessionError {
         /// Path of the ledger.
         path: PathBuf,
     },
-    /// The settings of a rig name another board than the one that made the rig's first recording.
+    /// The settings of a rig name another board than the board that made the rig's first recording.
     #[error(
         "board {now} is named in the place of board {before}: name the boards that the session began with, in the \
          same order"
@@ -84,10 +84,10 @@ pub enum SessionError {
     OtherBoard {
         /// Board that made the recordings so far.
         before: String,
-        /// Board that is named now.
+        /// Board that the settings name.
         now: String,
     },
-    /// The rig is the embedded emulated Qube, and one at a port made the recordings so far.
+    /// The rig is the embedded emulated Qube, and a board at a port made the recordings so far.
     #[error(
         "this session began on board {before} at {port}, and the embedded emulated Qube cannot take its place: resume \
          it with the port of that board"
@@ -117,7 +117,7 @@ pub enum SessionError {
         /// Path of the policy.
         path: PathBuf,
     },
-    /// The recording of another rollout is in the place of a finished rollout's.
+    /// The recording of another rollout is in the place of the recording of a finished rollout.
     #[error(
         "{path}: this is the recording of {found}, which would count twice. Put the recording back that was there"
     )]
@@ -136,7 +136,7 @@ pub enum SessionError {
     /// The rig could not be opened or used.
     #[error(transparent)]
     Rig(#[from] RigError),
-    /// One of several rigs could not be homed; the error itself does not say which.
+    /// One of several rigs could not be homed; the error itself does not name the rig.
     #[error("rig {rig}: {source}")]
     NotHomed {
         /// Number of the rig, from 1.
@@ -179,7 +179,7 @@ impl SessionError {
         }
     }
 
-    /// Whether the cause is one rig alone, so that the other rigs can continue.
+    /// Returns whether the cause is one rig alone, so that the other rigs can continue.
     #[must_use]
     pub fn is_of_rig(&self) -> bool {
         match self {

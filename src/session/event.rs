@@ -19,7 +19,7 @@ pub enum SessionEvent<'a> {
     Identified {
         /// Number of recordings.
         recordings: u32,
-        /// Names of the effects that the verdict says are missing.
+        /// Names of the effects that are missing according to the verdict.
         doubts: &'a [String],
     },
     /// The fit of a profile leaves a recording out, because it cannot be fitted. A session reports
@@ -89,9 +89,9 @@ pub enum SessionEvent<'a> {
     FirstMotion {
         /// Number of the rig, from 1, where several rigs share the session.
         rig: Option<u32>,
-        /// Whether the Qube is examined before it is homed.
+        /// True if the Qube is examined before it is homed.
         is_examined: bool,
-        /// Whether the operator has acknowledged a doubt, so that no setting skips the examination.
+        /// True if the operator has acknowledged a doubt, so that no setting skips the examination.
         is_acknowledged: bool,
     },
     /// The device is open and homed.

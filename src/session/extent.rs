@@ -14,16 +14,16 @@ pub struct Extent {
     pub rollouts: u32,
     /// Number of rollouts that verify the recommendation.
     pub verification_rollouts: u32,
-    /// Whether the best candidate's existing policy is verified too, by `verification_rollouts`.
+    /// True if the best candidate's existing policy is verified too, by `verification_rollouts`.
     #[serde(default)]
     pub verifies_incumbent: bool,
     /// Largest number of steps of a rollout under a candidate's policy, 10 ms each; the thesis uses
     /// 600.
     pub steps: u32,
-    /// Number of times that one rollout is repeated after faults. After one more fault the session
-    /// stops or, if other rigs share it, goes on without the rig.
+    /// Number of times that one rollout is repeated because it was void. If it is void once more,
+    /// the session stops or, if other rigs share it, goes on without the rig.
     pub repetitions: u32,
-    /// Whether a policy that was trained on the nominal Qube makes one rollout at the end, for
+    /// True if a policy that was trained on the nominal Qube makes one rollout at the end, for
     /// comparison.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub baseline: bool,

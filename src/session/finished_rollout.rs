@@ -11,7 +11,7 @@ use crate::storage::Disk;
 ///
 /// # Errors
 /// The recording is missing, truncated or changed; it is the recording of another rollout; or the
-/// candidate's policy file holds another policy than the one that made the rollout.
+/// candidate's policy file holds another policy than the policy that made the rollout.
 pub fn finished_rollout(
     disk: &dyn Disk,
     paths: &PolicyPaths,
@@ -25,8 +25,8 @@ pub fn finished_rollout(
     Ok((recording, verdict))
 }
 
-/// Checks that a recording is of this attempt at a rollout of the candidate with this number.
-/// `None`: the caller does not know the candidate.
+/// Checks that a recording is of this attempt at a rollout of the candidate with this number. If
+/// `candidate` is `None`, the recording of any candidate passes.
 ///
 /// # Errors
 /// It is the recording of another rollout.
@@ -73,9 +73,9 @@ pub fn check_policy(
     }
 }
 
-/// Whether two policy files hold different policies; false if one is not a policy. Of networks only
-/// the functions and weights are compared, because each version of the program may write the record
-/// of the training in another way.
+/// Returns whether two policy files hold different policies; false if one is not a policy. Of
+/// networks only the functions and weights are compared, because each version of the program may
+/// write the record of the training in another way.
 fn are_different(one: &[u8], other: &[u8]) -> bool {
     if one == other {
         return false;

@@ -14,19 +14,19 @@ use crate::storage::{
 /// An error of a session's folder.
 #[derive(Debug, Error)]
 pub enum FolderError {
-    /// A new session needs an empty folder.
+    /// The folder for a new session exists and is not empty.
     #[error("{path} exists already and is not empty")]
     Exists {
         /// Path of the folder.
         path: PathBuf,
     },
-    /// The folder to resume is not a session.
+    /// The folder is not a session.
     #[error("{path} is not a session: it has no {}", SessionPaths::CONFIGURATION)]
     NotASession {
         /// Path of the folder.
         path: PathBuf,
     },
-    /// The session to resume ended before it had its session.toml.
+    /// The folder to resume is empty, or its session ended before it had its `session.toml`.
     #[error("{path} has nothing to resume: it is empty, or its session ended before it began")]
     NotBegun {
         /// Path of the folder.
@@ -53,13 +53,13 @@ pub enum FolderError {
 pub struct SessionFolder {
     paths: SessionPaths,
     disk: Arc<dyn Disk>,
-    /// Whether this value has created the session's configuration.
+    /// True if this value has created the session's configuration.
     is_new: bool,
     _lock: FolderLock,
 }
 
 impl SessionFolder {
-    /// Whether this value has created the session's configuration.
+    /// Returns whether this value has created the session's configuration.
     #[must_use]
     pub fn is_new(&self) -> bool {
         self.is_new
@@ -134,7 +134,7 @@ impl SessionFolder {
         }
     }
 
-    /// Whether anything has been made for a candidate yet.
+    /// Returns whether the folder of the candidates has an entry.
     ///
     /// # Errors
     /// The folder of the candidates cannot be read.
@@ -207,8 +207,9 @@ impl SessionFolder {
     }
 }
 
-/// Whether a folder is empty or holds only the leftovers of a session that was killed before its
-/// `session.toml` was complete: an empty folder for candidates, and a partial configuration.
+/// Returns whether a folder is empty or holds only the leftovers of a session that was killed
+/// before its `session.toml` was complete: an empty folder for candidates, and a partial
+/// configuration.
 fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
     let names = match disk.names(root) {
         Err(error) if error.kind() == ErrorKind::NotADirectory => return Ok(false),
@@ -288,7 +289,7 @@ mod tests {
         for (name, bytes) in [("rollout-0.mcap", "new"), ("rollout-0.unfinished-1.mcap", "old")] {
             std::fs::write(at(name), bytes).unwrap();
         }
-        // This name is taken too, although nothing can be found out about its file.
+        // This name is taken too, although its file cannot be examined.
         let taken = at("rollout-0.unfinished-2.mcap");
         std::os::unix::fs::symlink(&taken, &taken).unwrap();
         put_aside(&MachineDisk, &at("rollout-0.mcap")).unwrap();
@@ -298,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_session_begins_where_an_earlier_one_was_killed_before_it_had() {
+    fn a_session_begins_in_a_folder_whose_earlier_session_was_killed_at_its_start() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("killed");
         // The steps after which the earlier session may be killed, in order; a new session begins
@@ -324,15 +325,15 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_is_anything_else_is_begun_in() {
+    fn no_session_begins_in_a_folder_with_other_content() {
         let directory = tempfile::tempdir().unwrap();
-        for what in ["candidates/000", "notes", "ledger.jsonl"] {
-            let root = directory.path().join(what.replace('/', "-"));
-            std::fs::create_dir_all(root.join(what)).unwrap();
+        for entry in ["candidates/000", "notes", "ledger.jsonl"] {
+            let root = directory.path().join(entry.replace('/', "-"));
+            std::fs::create_dir_all(root.join(entry)).unwrap();
             let refused = SessionFolder::create(&root, "").unwrap_err();
-            assert!(matches!(refused, FolderError::Exists { .. }), "{what}: {refused}");
+            assert!(matches!(refused, FolderError::Exists { .. }), "{entry}: {refused}");
             let refused = SessionFolder::open(&root).unwrap_err();
-            assert!(matches!(refused, FolderError::NotASession { .. }), "{what}: {refused}");
+            assert!(matches!(refused, FolderError::NotASession { .. }), "{entry}: {refused}");
         }
         let file = directory.path().join("file");
         std::fs::write(&file, "").unwrap();

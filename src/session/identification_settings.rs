@@ -39,7 +39,7 @@ impl IdentificationSettings {
     /// Checks that every setting is in its range.
     ///
     /// # Errors
-    /// The first setting that is not.
+    /// The first setting that is out of its range.
     pub fn check(&self) -> Result<(), SettingError> {
         for (name, value, range) in [
             ("excitations", self.excitations.into(), [1.0, 10.0]),

@@ -66,14 +66,15 @@ pub struct Ledger {
     file: Box<dyn DiskFile>,
     /// Length of the complete lines in bytes.
     length: u64,
-    /// Whether a failed append left bytes after the complete lines that could not be removed yet.
+    /// True if a failed append left bytes after the complete lines that could not be removed yet.
     torn: bool,
     entries: Vec<Entry>,
     state: SessionState,
     chain: Chain,
 }
 
-/// The checksum that the next line of a ledger includes; `None` where the ledger is not chained.
+/// Checksum of a ledger's last line, which the checksum of the next line covers too; `None` if the
+/// ledger is not chained.
 #[derive(Clone, Debug, Default)]
 struct Chain(Option<String>);
 
@@ -86,7 +87,7 @@ impl Chain {
         format!("{:08x}", digest.finalize())
     }
 
-    /// Goes on to the line after the one with this entry and checksum.
+    /// Moves past the line with this entry and checksum.
     fn advance(&mut self, entry: &Entry, checksum: String) {
         if self.0.is_some() || matches!(entry, Entry::Begun { chained: true, .. }) {
             self.0 = Some(checksum);
@@ -149,7 +150,7 @@ impl Ledger {
         &self.state
     }
 
-    /// Checks that the entries name no other rigs than those of a session with this many.
+    /// Checks that no entry names a rig with a number above `rigs`, the session's number of rigs.
     ///
     /// # Errors
     /// An entry names a rig that the session does not have.
@@ -183,7 +184,7 @@ impl Ledger {
             self.torn = false;
         }
         if let Err(source) = self.file.write_all(line.as_bytes()).and_then(|()| self.file.sync()) {
-            // A partial line would be cut on the next open; cutting it now lets this run continue.
+            // The next open would cut a partial line; cutting it at once lets this run continue.
             self.torn = self.file.cut_to(self.length).is_err();
             return Err(self.failed(source));
         }
@@ -325,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn cut_at_any_byte_the_whole_lines_come_back_and_the_rest_can_be_written_again() {
+    fn a_ledger_that_is_cut_at_any_byte_keeps_its_whole_lines_and_can_be_continued() {
         let directory = tempfile::tempdir().unwrap();
         let (path, bytes) = written(directory.path());
         for length in 0..=bytes.len() {
@@ -345,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ledger_that_cannot_be_looked_at_does_not_count_as_none() {
+    fn a_ledger_that_cannot_be_read_does_not_count_as_an_empty_one() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("ledger.jsonl");
         assert_eq!(read_bytes(&MachineDisk, &path).unwrap(), b"");
@@ -457,13 +458,13 @@ mod tests {
             std::fs::write(&path, lines(&[&sample()[..2], &[other]].concat())).unwrap();
             let ledger = Ledger::open(&MachineDisk, &path).unwrap();
             assert!(ledger.check_rigs(3).is_ok());
-            let told = ledger.check_rigs(2).unwrap_err().to_string();
-            assert!(told.contains("line 3: it names rig 3, and the session has 2"), "{told}");
+            let message = ledger.check_rigs(2).unwrap_err().to_string();
+            assert!(message.contains("line 3: it names rig 3, and the session has 2"), "{message}");
         }
     }
 
     #[test]
-    fn a_last_line_that_a_loss_of_power_has_left_in_zeros_is_cut() {
+    fn a_last_line_with_zeros_from_a_loss_of_power_is_cut() {
         let whole = lines(&sample()[..2]);
         let mut bytes = lines(&sample()[..3]).into_bytes();
         for place in &mut bytes[whole.len() + 3..whole.len() + 20] {

@@ -16,8 +16,8 @@ pub(super) struct LocatedEntries<'a> {
 }
 
 impl<'a> LocatedEntries<'a> {
-    /// The entries of the table `part` of a text, none if the text has no such table; without a
-    /// `part`, the entries of the whole text. `path` only appears in errors.
+    /// Reads the entries of the table `part` of a text, or of the whole text if `part` is `None`. A
+    /// text without the table `part` has no entries. `path` only appears in errors.
     pub(super) fn of(
         text: &'a str,
         part: Option<&str>,
@@ -51,7 +51,7 @@ impl<'a> LocatedEntries<'a> {
         Ok(Self { text, path, table })
     }
 
-    /// The entries as a value.
+    /// Converts the entries to a value of type `T`.
     ///
     /// # Errors
     /// The entries do not form such a value; the error names the line.
@@ -67,11 +67,11 @@ impl<'a> LocatedEntries<'a> {
 pub(super) fn merge_into<'a>(below: &mut DeTable<'a>, above: DeTable<'a>) {
     for (key, value) in above {
         let (span, value) = (value.span(), value.into_inner());
-        let under = below.remove(&**key.get_ref()).map(Spanned::into_inner);
-        let value = match (under, value) {
-            (Some(DeValue::Table(mut under)), DeValue::Table(above)) => {
-                merge_into(&mut under, above);
-                DeValue::Table(under)
+        let replaced = below.remove(&**key.get_ref()).map(Spanned::into_inner);
+        let value = match (replaced, value) {
+            (Some(DeValue::Table(mut merged)), DeValue::Table(above)) => {
+                merge_into(&mut merged, above);
+                DeValue::Table(merged)
             }
             (_, value) => value,
         };

@@ -76,7 +76,7 @@ impl SessionPaths {
 /// ```text
 /// policy.safetensors                      the policy
 /// curve.csv                               the learning curve of its training
-/// training-times.json                     when its trainings ran; not written in virtual time
+/// training-times.json                     times of its trainings; not written in virtual time
 /// rollout-0-attempt-0.mcap                the recording of one of its rollouts
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]

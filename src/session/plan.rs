@@ -10,8 +10,8 @@ pub struct CandidateCounts {
     pub searched: u32,
     /// Largest number of candidates of the search.
     pub most_searched: u32,
-    /// Number of all candidates at the end of the session; `None` for a search around an identified
-    /// Qube, which may end early and verify more than one policy.
+    /// Number of all candidates at the end of the session; `None` if the session identifies its
+    /// Qube, because the search may then end early and verify more than one policy.
     pub total: Option<u32>,
 }
 
@@ -45,7 +45,7 @@ pub enum Step {
         /// Number of the attempt, from 0.
         attempt: u32,
     },
-    /// Give this rollout up on its rig: faults have ended it more often than `repetitions` allows.
+    /// Give this rollout up on its rig: more of its attempts were void than `repetitions` allows.
     /// The session stops or, if other rigs share it, goes on without the rig. A process that
     /// resumes the stopped session repeats the rollout as often again.
     GiveUp {
@@ -73,7 +73,7 @@ pub fn next_step(
     let identifies = identifying(state, identification);
     // All initial points are proposed in one step, so that their policies can be trained at the
     // same time on all cores. Excitations are proposed one by one, because each is chosen by the
-    // recordings of the ones before.
+    // recordings of the earlier excitations.
     let together = match identifies {
         Some(_) => None,
         None => missing(Purpose::Initial, extent.initial_candidates),
@@ -102,7 +102,7 @@ pub fn next_step(
         .unwrap_or(Step::Done)
 }
 
-/// Whether the session trains policies while earlier ones run on the Qube.
+/// Returns whether the session trains policies while earlier ones run on the Qube.
 #[must_use]
 pub fn trains_ahead(
     state: &SessionState,
@@ -171,8 +171,8 @@ fn unfinished(
     candidates.iter().find_map(|it| lacking(it, extent, identifies))
 }
 
-/// The next training or rollout of a candidate; after too many faults the rollout is given up.
-/// `None` if the candidate is finished.
+/// The next step of a candidate: its training, its next rollout, or giving this rollout up after
+/// too many faults. `None` if the candidate is finished.
 fn lacking(
     it: &Candidate,
     extent: &Extent,
@@ -299,8 +299,8 @@ mod tests {
                         Entry::RolloutFinished { candidate, rollout, attempt, rig: None }
                     });
                 }
-                Step::GiveUp { .. } => panic!("gave up"),
-                Step::Identify | Step::Decide => panic!("nothing is to be identified"),
+                Step::GiveUp { .. } => panic!("the session gives a rollout up"),
+                Step::Identify | Step::Decide => panic!("the session identifies a Qube"),
                 Step::Done => return entries,
             }
         }
@@ -320,12 +320,12 @@ mod tests {
     }
 
     #[test]
-    fn a_session_that_was_begun_without_it_ends_with_the_recommendation() {
+    fn a_session_that_verifies_no_incumbent_ends_with_the_recommendation() {
         let old: Extent = toml::from_str("initial_candidates = 3\niterations = 2").unwrap();
         assert!(!old.verifies_incumbent);
         let whole = session(1000);
-        let asked = |entry: &Entry| matches!(entry, Entry::Proposed { candidate: 6, .. });
-        let until = whole.iter().position(asked).unwrap();
+        let incumbent = |entry: &Entry| matches!(entry, Entry::Proposed { candidate: 6, .. });
+        let until = whole.iter().position(incumbent).unwrap();
         assert_eq!(
             next_step_after(&whole[..until], &EXTENT),
             Step::Propose { count: 1, purpose: Purpose::Incumbent }
@@ -390,14 +390,14 @@ mod tests {
     }
 
     #[test]
-    fn each_prefix_of_a_ledger_goes_on_to_the_same_end() {
+    fn each_prefix_of_a_ledger_leads_to_the_same_next_entry() {
         for pending in [0, 1, 3] {
             let extent = Extent { pending, ..EXTENT };
-            is_continued_from_each_prefix(&extent);
+            check_each_prefix(&extent);
         }
     }
 
-    fn is_continued_from_each_prefix(extent: &Extent) {
+    fn check_each_prefix(extent: &Extent) {
         let whole = session_of(extent, 1000);
         for length in 0..whole.len() {
             let next = next_step_after(&whole[..length], extent);
@@ -410,8 +410,8 @@ mod tests {
                 }
                 (
                     Entry::RolloutFinished { candidate, rollout, .. },
-                    Step::Rollout { candidate: c, rollout: r, .. },
-                ) => (*candidate, *candidate == c && *rollout == r),
+                    Step::Rollout { candidate: next_candidate, rollout: next_rollout, .. },
+                ) => (*candidate, *candidate == next_candidate && *rollout == next_rollout),
                 _ => (0, false),
             };
             assert!(ok, "after {length} entries, candidate {candidate}");
@@ -463,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn a_qube_is_excited_and_identified_before_the_search_is_decided() {
+    fn a_qube_is_excited_and_identified_before_the_search() {
         let extent = Extent { baseline: true, ..EXTENT };
         let next = |entries: &[Entry]| next_around(entries, &extent);
         // The second excitation is chosen by the recording of the first.
@@ -522,7 +522,7 @@ mod tests {
             let counts = CandidateCounts { searched: 1 + round, most_searched: most, total: None };
             assert_eq!(of(&entries), counts);
         }
-        // A Qube that could not be identified is searched as an unknown one.
+        // The search treats a Qube that could not be identified as an unknown one.
         let refused = Entry::NotIdentified { reason: "it does not fit".into() };
         let mut entries = finished(0, Purpose::Excitation, 1);
         entries.extend(finished(1, Purpose::Excitation, 1));

@@ -4,10 +4,10 @@ use super::{FolderError, SessionError, SessionPaths, StoredProfile};
 use crate::qube::Profile;
 use crate::storage::{Disk, SETTINGS_BYTES, checksum_of};
 
-/// Reads a profile that a session identified from the session's folder.
+/// Reads, from a session's folder, a profile that the session identified.
 ///
 /// # Errors
-/// The file is missing, does not have this checksum, or is not a valid profile.
+/// The file cannot be read, does not have this checksum, or is not a valid profile.
 pub fn identified_profile(
     disk: &dyn Disk,
     paths: &SessionPaths,

@@ -6,8 +6,7 @@ use super::SessionPaths;
 use crate::recording;
 use crate::rig::ClockChoice;
 
-/// The clock under which a session made its first recording; `None` without a recording that can be
-/// read.
+/// The clock under which a session made its first readable recording; `None` without one.
 #[must_use]
 pub fn recorded_clock(paths: &SessionPaths) -> Option<ClockChoice> {
     let sorted = |folder: PathBuf| {

@@ -31,8 +31,8 @@ pub struct SessionReport {
     pub profile: Option<Profile>,
     /// End of the search around an identified Qube; `None` before its end and for other searches.
     pub ended: Option<EndedSearch>,
-    /// Devices of the rigs that share the session, as they were named when it began; empty if there
-    /// is one rig.
+    /// Devices of the rigs that share the session, as the operator named them when the session
+    /// began; empty if there is one rig.
     pub rigs: Vec<String>,
     /// Rigs that were taken out.
     pub taken_out: Vec<TakenOutRig>,
@@ -72,7 +72,7 @@ impl SessionReport {
     /// Reads the results of a session from its ledger and its recordings.
     ///
     /// # Errors
-    /// A recording cannot be read.
+    /// A recording or the latest profile cannot be read or was changed.
     pub fn read(session: &mut Session) -> Result<Self, SessionError> {
         let candidates = session.scored_candidates()?;
         let folder = session.folder();
@@ -119,7 +119,7 @@ impl SessionReport {
         candidates.find(|it| again.runs_policy_of(it)).unwrap_or(again).number
     }
 
-    /// The candidates of the purposes that `accepts` is true for.
+    /// The candidates of the purposes for which `accepts` returns true.
     pub fn of_purpose(
         &self,
         accepts: fn(Purpose) -> bool,
@@ -128,7 +128,7 @@ impl SessionReport {
     }
 
     /// Number of real rollouts whose data the method used: excitations and rollouts of the search,
-    /// without those that verify a result or serve for comparison.
+    /// without the rollouts that verify a result or serve for comparison.
     #[must_use]
     pub fn real_rollouts(&self) -> usize {
         let used = self.candidates.iter().filter(|it| it.candidate.purpose.informs());

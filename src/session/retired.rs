@@ -40,7 +40,7 @@ pub struct Retired {
 }
 
 impl Retired {
-    /// Whether the entry had an effect on the session: a value of 0 had none.
+    /// Returns whether the entry had an effect on the session: a value of 0 had none.
     #[must_use]
     pub fn changed_something(&self) -> bool {
         !matches!(self.value, Value::Float(0.0) | Value::Integer(0))
@@ -49,7 +49,7 @@ impl Retired {
 
 impl Display for Retired {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{} = {} is no longer a setting", self.key, self.value)
+        write!(formatter, "{} = {} is a setting of earlier versions only", self.key, self.value)
     }
 }
 

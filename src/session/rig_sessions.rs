@@ -45,15 +45,14 @@ impl RigSessions {
         root.join(format!("rig-{rig}"))
     }
 
-    /// Whether a folder holds the sessions of several Qubes: it has a `rigs.toml`.
+    /// Returns whether a folder holds the sessions of several Qubes: it has a `rigs.toml`.
     #[must_use]
     pub fn are_in(root: &Path) -> bool {
         Self::path(root).exists()
     }
 
-    /// Whether a folder is empty or holds nothing but folders of rigs without a ledger and a
-    /// partial `rigs.toml`, which remain if the program is killed before it has written
-    /// `rigs.toml`.
+    /// Returns whether a folder is empty, or holds only a partial `rigs.toml` and folders of rigs
+    /// without a ledger. These remain if the program is killed before it has written `rigs.toml`.
     ///
     /// # Errors
     /// The folder cannot be read.
@@ -170,7 +169,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_kill_leaves_at_any_moment_of_the_start_is_no_session_and_is_removed() {
+    fn the_files_of_a_start_that_was_killed_are_no_session_and_are_removed() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path();
         drop(SessionFolder::create(&RigSessions::folder(root, 1), "seed = 1\n").unwrap());

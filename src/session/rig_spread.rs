@@ -4,8 +4,8 @@
 /// 0; `None` if every rig was taken out.
 ///
 /// The rigs take the rollouts in turn, so that each rig evaluates every candidate alike. If the rig
-/// whose turn it is was taken out, the rig with the fewest rollouts so far makes the rollout, of
-/// several the one with the lowest number. The other rigs keep their own rollouts.
+/// whose turn it is was taken out, the rig with the fewest rollouts so far makes the rollout; of
+/// several such rigs, the rig with the lowest number. The other rigs keep their own rollouts.
 ///
 /// The rigs in `taken_out` count as taken out from the first rollout on, so that the result depends
 /// on the arguments alone.
@@ -17,12 +17,12 @@ pub fn rig_of_rollout(rollout: u32, rigs: u32, taken_out: &[u32]) -> Option<u32>
     let mut rig = None;
     for earlier in 0..=rollout {
         let own = earlier % rigs.max(1) + 1;
-        let makes = match left.iter().position(|(rig, _)| *rig == own) {
+        let index = match left.iter().position(|(rig, _)| *rig == own) {
             Some(index) => index,
             None => (0..left.len()).min_by_key(|&index| left[index].1)?,
         };
-        left[makes].1 += 1;
-        rig = Some(left[makes].0);
+        left[index].1 += 1;
+        rig = Some(left[index].0);
     }
     rig
 }
@@ -36,13 +36,13 @@ mod tests {
     }
 
     #[test]
-    fn rollouts_go_round_the_rigs() {
+    fn the_rigs_take_the_rollouts_in_turn() {
         assert_eq!(spread(3, 1, &[]), [1, 1, 1]);
         assert_eq!(spread(6, 3, &[]), [1, 2, 3, 1, 2, 3]);
     }
 
     #[test]
-    fn the_others_share_the_rollouts_of_a_rig_that_is_taken_out_and_keep_theirs() {
+    fn the_other_rigs_share_the_rollouts_of_a_rig_that_is_taken_out_and_keep_their_own() {
         assert_eq!(spread(5, 2, &[1]), [2; 5]);
         assert_eq!(spread(9, 3, &[2]), [1, 3, 3, 1, 1, 3, 1, 3, 3]);
         assert_eq!(spread(4, 3, &[2, 1]), [3; 4]);
@@ -59,10 +59,10 @@ mod tests {
                     assert!(most <= least + 2, "{made} rollouts of {rigs} rigs: {by:?}");
                 }
                 for (rollout, rig) in (0..).zip(before) {
-                    let now = after(rollout);
-                    assert_eq!(now.is_none(), rigs == 1);
-                    assert_ne!(now, Some(taken_out));
-                    assert!(rig == taken_out || now == Some(rig));
+                    let later = after(rollout);
+                    assert_eq!(later.is_none(), rigs == 1);
+                    assert_ne!(later, Some(taken_out));
+                    assert!(rig == taken_out || later == Some(rig));
                 }
             }
         }

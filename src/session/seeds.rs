@@ -1,6 +1,6 @@
-//! Derives the random numbers of a session from the session's seed and the purpose of the draw,
-//! never from earlier draws. A resumed session therefore draws the same numbers. The plan of a
-//! rollout derives the start angle of the arm in the same way.
+//! Derives seeds from the seed of a session or experiment and the purpose of the draws, never from
+//! earlier draws. A resumed session therefore draws the same numbers. The plan of a rollout derives
+//! the start angle of the arm in the same way.
 
 use rand::{RngExt as _, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -8,39 +8,42 @@ use rand_chacha::ChaCha8Rng;
 /// The purpose of a random stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SeedFor {
-    /// Training of a candidate.
+    /// Training of a policy.
     Training {
-        /// Number of the candidate.
+        /// Number of the candidate, or of the policy in an experiment.
         candidate: u32,
-        /// Number of the training for this candidate.
+        /// Number of the training among the trainings of this candidate or policy.
         training: u32,
     },
-    /// Simulations that compare the competing policies of a candidate.
+    /// Simulations that score the policies of a candidate; in a method that learns a belief, the
+    /// draws of the belief after a number of recordings.
     Evaluation {
-        /// Number of the candidate.
+        /// Number of the candidate or of the policy, or number of recordings.
         candidate: u32,
     },
     /// Emulated Qube of one attempt at one rollout, under virtual time.
     Emulator {
-        /// Number of the candidate.
+        /// Number of the candidate, or of the policy in an experiment.
         candidate: u32,
         /// Number of the rollout.
         rollout: u32,
         /// Number of the attempt.
         attempt: u32,
     },
-    /// Session within an experiment, whose candidates are separate from the experiment's policies.
+    /// Part of an experiment with a seed of its own, such as a session, recordings or a belief. It
+    /// shares no random numbers with the trainings and rollouts of the experiment's policies.
     Search,
-    /// Properties of the Qube of a policy, where each policy runs on a Qube of its own.
+    /// Factors that scale a plant to the Qube of one policy or repetition, where each has a Qube of
+    /// its own.
     Qube {
-        /// Number of the policy.
+        /// Number of the policy or repetition.
         policy: u32,
-        /// Number of the plant around which the Qube is drawn.
+        /// Number of the stream of factors; plants with the same stream are scaled alike.
         plant: u32,
     },
-    /// One of several repetitions on one of several plants.
+    /// One of several repetitions of a method on one of several plants.
     Repetition {
-        /// Number of the plant.
+        /// Number of the plant, from 0; 0 for every plant if the plants share their seeds.
         plant: u32,
         /// Number of the repetition.
         repetition: u32,
@@ -50,17 +53,21 @@ pub enum SeedFor {
         /// Number of the rig, from 1.
         rig: u32,
     },
-    /// Properties of one of several emulated Qubes.
+    /// One of several emulated Qubes: its properties, or its emulator with the board's serial
+    /// number.
     RigQube {
         /// Number of the rig, from 1.
         rig: u32,
     },
 }
 
-/// The number of the random stream of a purpose: its kind in the highest 8 bits, then the candidate
-/// (24 bits) and the rollout or training and the attempt (the lowest 16 bits of each). A policy, a
-/// repetition or a rig takes the candidate's place, and a plant takes the rollout's place. The
-/// start angles of rollouts have a kind of their own, 1 ([`crate::rig::RolloutPlan::seed`]).
+/// The number of the random stream of a purpose. From the highest bits to the lowest, it contains:
+///
+/// - 8 bits: the kind of the purpose. The start angles of rollouts have a kind of their own, 1
+///   ([`crate::rig::RolloutPlan::seed`]).
+/// - 24 bits: the number of the candidate, policy, repetition or rig.
+/// - 16 bits: the lowest bits of the number of the rollout, training or plant.
+/// - 16 bits: the lowest bits of the number of the attempt.
 fn stream(purpose: SeedFor) -> u64 {
     let number = |kind: u64, candidate: u32, rollout: u32, attempt: u32| {
         kind << 56

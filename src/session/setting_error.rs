@@ -13,8 +13,8 @@ use crate::simulation::{Model, PsiError, box_file};
 pub(super) const NEW_SESSION_ADVICE: &str =
     "a session cannot change its settings, so begin a new one";
 
-/// The first setting of a session that is refused. Its text begins with the setting's key, as files
-/// name it.
+/// The first setting of a session that is refused. The error's text begins with the setting's key,
+/// as files name it.
 #[derive(Debug, Error)]
 pub enum SettingError {
     /// A number is out of its range.
@@ -85,10 +85,10 @@ pub enum SettingError {
         /// Refusal of the guard.
         source: HardwareRefusal,
     },
-    /// A new session asks for a guard that exists only to replay old recordings.
+    /// The settings of a new session name a guard that exists only to replay old recordings.
     #[error("safety_box.{0}, or leave it out")]
     OldGuard(#[source] HardwareRefusal),
-    /// Simulations have a guard.
+    /// The settings name a guard for simulations, which have no guard but the box.
     #[error(
         "training.simulation.safety_box.guard: simulations have no guard but the box: leave it out"
     )]

@@ -134,7 +134,7 @@ impl SessionSettings {
         &self.training.simulation.plant
     }
 
-    /// These settings, which describe Qubes, converted to another plant: the ranges of psi scale
+    /// Converts these settings, which describe Qubes, to another plant: the ranges of psi scale
     /// with the plant's parameters and the limits of theta with its travel, and the emulated plant
     /// has the plant's nominal parameters.
     #[must_use]
@@ -228,7 +228,7 @@ impl SessionSettings {
         self.model.distribution(self.plant(), self.family, self.profile.as_ref(), Some(psi))
     }
 
-    /// The settings of simulations for one psi: those of the training, with the corner of the
+    /// The settings of simulations for one psi: the training's settings, with the corner of the
     /// velocity filter from psi if psi has one.
     #[must_use]
     pub fn simulation(&self, psi: &Psi) -> SimulationSettings {
@@ -290,18 +290,20 @@ mod tests {
             settings.search().unwrap().propose(data, &[], 1).unwrap().remove(0)
         };
         let mut data = Vec::new();
-        for i in 0..settings.extent.initial_candidates {
+        for number in 0..settings.extent.initial_candidates {
             let point = next(&settings, &data);
             assert_eq!(point, next(&random, &data));
-            data.push(Observation { point, returns: vec![f64::from(i), f64::from(2 * i)] });
+            let returns = vec![f64::from(number), f64::from(2 * number)];
+            data.push(Observation { point, returns });
         }
         assert_ne!(next(&settings, &data), next(&random, &data));
     }
 
-    /// The checksums are those of the settings' text, and of the policy and the curve of their
-    /// first two updates. If a checksum changes, the reproduction of the thesis has changed.
+    /// The first checksum covers the text of the settings; the second covers the policy and the
+    /// curve of the first two updates. If a checksum changes, the reproduction of the thesis has
+    /// changed.
     #[test]
-    fn the_reproduction_of_the_thesis_stays_byte_for_byte_what_it_is() {
+    fn the_reproduction_of_the_thesis_keeps_its_bytes() {
         let settings = SessionSettings::thesis();
         let text = toml::to_string(&settings).unwrap();
         let middle = settings.psi.lower().into_iter().zip(settings.psi.upper());

@@ -50,8 +50,8 @@ impl SessionSettings {
         }
         self.training.check().map_err(SettingError::Training)?;
         self.search().map_err(SettingError::Search)?;
-        // The checks above know the ranges of single settings. This one bounds every number that is
-        // not an integer, also of settings without a range of their own.
+        // The checks above cover the ranges of single settings. This one bounds the numbers that
+        // are not integers, also of settings without a range of their own.
         Table::try_from(self).map_or(Ok(()), |all| check_numbers("", &Value::Table(all)))
     }
 
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_that_cannot_be_are_named() {
+    fn an_invalid_value_is_named() {
         for (text, name) in [
             ("[estimator]\ncorner_rad_s = 0.0\n", "estimator.corner_rad_s"),
             ("[safety_box]\ntheta = nan\n", "safety_box.theta"),

@@ -25,7 +25,7 @@ pub struct Setting {
     pub meaning: &'static str,
     /// Unit; empty for a value without one.
     pub unit: &'static str,
-    /// Accepted values in words, taken from the errors of the settings' own check.
+    /// Accepted values in words, taken from the errors that refuse other values, if there are any.
     pub range: String,
 }
 
@@ -48,9 +48,9 @@ enum Line {
 }
 
 impl SessionSettings {
-    /// Every setting in the order of the file, with the values of these settings as defaults.
-    /// Another plant than a Qube (`training.simulation.plant`, `homing.signs.encoders`) is
-    /// described in a file of its own.
+    /// Every setting that a file for a new session may have, in the order of the file, with the
+    /// values of these settings as defaults. Another plant than a Qube
+    /// (`training.simulation.plant`, `homing.signs.encoders`) is described in a file of its own.
     ///
     /// # Errors
     /// A number has no TOML form.
@@ -179,12 +179,12 @@ impl SessionSettings {
                 vec![Direction::new(&[(DomainParameter::PendulumMass.into(), 0.001)])];
         }
         all.emulated.model = drifting(all.emulated.model);
-        let none_is = |value: &mut f64, example: f64| {
+        let replace_zero = |value: &mut f64, example: f64| {
             if *value == 0.0 {
                 *value = example;
             }
         };
-        none_is(&mut all.emulated.play_rad, 0.005);
+        replace_zero(&mut all.emulated.play_rad, 0.005);
         all.emulated.unidentified = true;
         let Effects {
             presliding_rad,
@@ -198,16 +198,16 @@ impl SessionSettings {
             pendulum_friction_n_m,
             cubic_n_m_rad3,
         } = &mut all.emulated.effects;
-        none_is(presliding_rad, 0.01);
-        none_is(stribeck, 0.2);
-        none_is(hysteresis_n_m, 0.0001);
-        none_is(slack, 0.2);
-        none_is(warming_per_w, 0.02);
-        none_is(eccentricity_rad, 0.005);
-        none_is(tilt_rad, 0.005);
-        none_is(ripple, 0.05);
-        none_is(pendulum_friction_n_m, 0.00005);
-        none_is(cubic_n_m_rad3, 0.0001);
+        replace_zero(presliding_rad, 0.01);
+        replace_zero(stribeck, 0.2);
+        replace_zero(hysteresis_n_m, 0.0001);
+        replace_zero(slack, 0.2);
+        replace_zero(warming_per_w, 0.02);
+        replace_zero(eccentricity_rad, 0.005);
+        replace_zero(tilt_rad, 0.005);
+        replace_zero(ripple, 0.05);
+        replace_zero(pendulum_friction_n_m, 0.00005);
+        replace_zero(cubic_n_m_rad3, 0.0001);
         all.extent.baseline = true;
         all.extent.pending = all.extent.pending.max(1);
         all.preset.get_or_insert(self.preset());
@@ -305,13 +305,13 @@ fn as_written(number: f64) -> f64 {
 }
 
 /// The accepted values of the setting at a path, in words. The function tries extreme values and
-/// takes the range from the error with which the settings' own check refuses them.
+/// takes the range from the errors with which the parser or the settings' own check refuses them.
 fn range(settings: &Table, path: &[String]) -> String {
     let Some(value) = at(settings, path, 0) else { return String::new() };
     let (trials, otherwise): (Vec<Value>, &str) = match value {
         Value::Boolean(_) => return "true or false".into(),
-        Value::Integer(now) => {
-            let trials = [-1, 0, 65_535, 4_294_967_295, now + 1].map(Value::Integer);
+        Value::Integer(present) => {
+            let trials = [-1, 0, 65_535, 4_294_967_295, present + 1].map(Value::Integer);
             (trials.into(), "a whole number")
         }
         Value::Float(_) => ([-1e300, 0.0, 1e300, f64::NAN].map(Value::Float).into(), "a number"),
@@ -321,10 +321,10 @@ fn range(settings: &Table, path: &[String]) -> String {
     let key = path.join(".");
     let mut ranges: Vec<String> = Vec::new();
     for trial in trials {
-        let mut asked = settings.clone();
-        let Some(place) = at_mut(&mut asked, path) else { continue };
+        let mut tried = settings.clone();
+        let Some(place) = at_mut(&mut tried, path) else { continue };
         *place = trial;
-        let range = match asked.try_into::<SessionSettings>() {
+        let range = match tried.try_into::<SessionSettings>() {
             Err(refused) => choices(refused.message()),
             Ok(settings) => {
                 settings.check().err().and_then(|refused| bound(&refused.to_string(), &key))
@@ -340,14 +340,14 @@ fn range(settings: &Table, path: &[String]) -> String {
 }
 
 /// The accepted names of the setting at a path, separated by commas: the names that the error for
-/// an unknown name lists, without those that are refused as well and without earlier names.
+/// an unknown name lists, without earlier names and without names that are refused as well.
 fn names(settings: &Table, path: &[String]) -> String {
     let read = |name: &str| {
-        let mut asked = settings.clone();
-        if let Some(place) = at_mut(&mut asked, path) {
+        let mut tried = settings.clone();
+        if let Some(place) = at_mut(&mut tried, path) {
             *place = Value::String(name.into());
         }
-        asked.try_into::<SessionSettings>()
+        tried.try_into::<SessionSettings>()
     };
     let Some(offered) = read("?").err().and_then(|refused| choices(refused.message())) else {
         return "text".into();
@@ -408,7 +408,7 @@ mod tests {
         of_a_session().overridden_by_text(text, Path::new("printed.toml")).unwrap()
     }
 
-    /// The printed list, with the settings that are absent by default no longer behind a `#`.
+    /// The printed list without the `#` before each setting that is absent by default.
     fn with_all(text: &str) -> String {
         let lines = text.lines().map(|line| match line.strip_prefix('#') {
             Some(setting) if !setting.starts_with(' ') => setting,
@@ -430,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn the_printed_list_reads_back_as_it_was() {
+    fn reading_the_printed_list_gives_the_same_settings() {
         for settings in [of_a_session(), SessionSettings::quick(), SessionSettings::thesis()] {
             let text = settings.explained().unwrap();
             let again = settings.overridden_by_text(&text, Path::new("printed.toml")).unwrap();
@@ -457,19 +457,19 @@ mod tests {
 
     /// The names that the program accepts in a table, taken from the error for an unknown name.
     fn read_names(settings: &Table, table: &[String]) -> BTreeSet<String> {
-        let mut asked = settings.clone();
+        let mut tried = settings.clone();
         let unknown = ("unknown setting".to_owned(), Value::Boolean(true));
         match table {
-            [] => drop(asked.insert(unknown.0, unknown.1)),
+            [] => drop(tried.insert(unknown.0, unknown.1)),
             path => {
-                let mut place = at_mut(&mut asked, path).unwrap();
+                let mut place = at_mut(&mut tried, path).unwrap();
                 if let Value::Array(entries) = place {
                     place = &mut entries[0];
                 }
                 drop(place.as_table_mut().unwrap().insert(unknown.0, unknown.1));
             }
         }
-        let refused = asked.try_into::<SessionSettings>().unwrap_err();
+        let refused = tried.try_into::<SessionSettings>().unwrap_err();
         let names = choices(refused.message());
         let names =
             names.unwrap_or_else(|| panic!("[{}] lists no names: {refused}", table.join(".")));
@@ -514,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn every_setting_has_a_meaning_and_every_number_of_a_range_the_checks_own() {
+    fn every_setting_has_a_meaning_and_the_range_of_its_check() {
         let settings = of_a_session().list().unwrap();
         for setting in &settings {
             assert!(!setting.meaning.is_empty(), "{}", setting.key);

@@ -129,7 +129,7 @@ const WORDS: [Words; 112] = [
         "Guard that ends a rollout: foresight, which simulates the brake in advance, or the box alone",
     ),
     of("simulation.safety_box.guard", "", "Guard of simulations: the box alone"),
-    of("homing.method", "", "How the arm's middle is found"),
+    of("homing.method", "", "Method by which homing finds the arm's middle"),
     of("homing.theta_offset_rad", "rad", "Zero of theta relative to the middle between the stops"),
     of("homing.travel_rad", "rad", "Distance between this rig's stops"),
     of(

@@ -12,14 +12,14 @@ pub struct Candidate {
     /// Point of the search space: its psi's values, in the order of the space's dimensions
     /// ([`crate::simulation::PsiSpace::psi`]). It is empty for an excitation and the baseline.
     pub point: Vec<f64>,
-    /// Whether its policy is on disk.
+    /// True once its policy is on disk.
     pub trained: bool,
     /// Finished rollouts in order.
     pub finished: Vec<Finished>,
     /// Number of attempts at the current rollout that are void.
     pub void: u32,
-    /// Number of these attempts that were made before the last rig was taken out. They do not count
-    /// towards the allowed repetitions.
+    /// Number of void attempts at the current rollout before the last rig was taken out. They do
+    /// not count towards the allowed repetitions.
     pub void_before: u32,
     /// Number of the searched candidate whose policy it runs again; `None` if it has a policy of
     /// its own, or if an older program proposed it.
@@ -37,9 +37,9 @@ impl Candidate {
         repeated.sum::<u64>() + u64::from(self.void)
     }
 
-    /// Whether this candidate runs the policy of `other` again, to verify it. A ledger of an older
-    /// program does not name the other candidate, so there it is found by its point, which both
-    /// share.
+    /// Returns whether this candidate runs the policy of `other` again, to verify it. An older
+    /// program's ledger does not name the other candidate; there both candidates have the same
+    /// point.
     #[must_use]
     pub fn runs_policy_of(&self, other: &Self) -> bool {
         let is_same = match self.policy_of {
@@ -53,7 +53,7 @@ impl Candidate {
 /// A rollout that has a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Finished {
-    /// Number of the rollout among those of its candidate, from 0.
+    /// Number of the rollout among the candidate's rollouts, from 0.
     pub rollout: u32,
     /// Number of the attempt that has the result, from 0.
     pub attempt: u32,
@@ -62,7 +62,7 @@ pub struct Finished {
 }
 
 impl Finished {
-    /// The attempt that has the result, among those of the candidate's policy.
+    /// The attempt that has the result, without the number of the candidate.
     #[must_use]
     pub fn of_policy(&self) -> RolloutAttempt {
         RolloutAttempt { rollout: self.rollout, attempt: self.attempt }
@@ -93,7 +93,7 @@ pub struct TakenOutRig {
     pub reason: String,
 }
 
-/// A fit to more recordings than the latest profile's that gave no new profile.
+/// A fit that used more recordings than the latest profile and gave no new profile.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FailedRefit {
     /// Number of its recordings.
@@ -117,7 +117,7 @@ pub enum Identification {
         /// Names of the effects that the model lacks according to the verdict.
         doubts: Vec<String>,
         /// Profiles in the order in which they were found. Psi shifts the simulations along
-        /// directions of the errors of the first.
+        /// directions of the errors of the first profile.
         profiles: Vec<StoredProfile>,
         /// The latest fit, if it was made during the search and gave no new profile.
         failed_refit: Option<FailedRefit>,
@@ -127,8 +127,8 @@ pub enum Identification {
 }
 
 impl Identification {
-    /// Whether the Qube is identified and its profile is in doubt: the verdict on its fit names
-    /// effects that the model lacks, or no profile fits the recordings since then.
+    /// Returns whether the Qube is identified and its profile is in doubt: the verdict on its fit
+    /// names effects that the model lacks, or a later fit to more recordings failed.
     #[must_use]
     pub fn is_doubted(&self) -> bool {
         match self {
@@ -173,11 +173,12 @@ pub enum EntryError {
     /// A candidate does not have the next number.
     #[error("candidates are not numbered in their order")]
     CandidateNumber,
-    /// A candidate counts as pending and was not proposed by the search, or has a return already.
-    #[error("a pending candidate is not one of the search or has returns")]
+    /// A candidate counts as pending and is none of the search's, or has a return already.
+    #[error("a pending candidate is not a candidate of the search or has returns")]
     NotPending,
-    /// A candidate runs the policy of a candidate that was not proposed by the search.
-    #[error("the candidate runs the policy of none of the search")]
+    /// A candidate that is not of the purpose `Incumbent` runs another's policy, or the other is
+    /// none of the search's candidates.
+    #[error("the candidate cannot run the policy of that candidate")]
     PolicyOfNone,
     /// A candidate was not proposed.
     #[error("there is no such candidate")]
@@ -188,11 +189,11 @@ pub enum EntryError {
     /// A rollout or an attempt is out of order, or precedes the training.
     #[error("this is not the rollout or the attempt that was due")]
     NotDue,
-    /// An identification adds no recordings to the last one.
-    #[error("the Qube is identified from these recordings already")]
+    /// An identification adds no recordings to the last fit, or follows a refused identification.
+    #[error("the Qube cannot be identified from these recordings now")]
     IdentifiedAlready,
     /// An identification is refused after it was decided.
-    #[error("it is decided already whether the Qube is identified")]
+    #[error("the identification of the Qube is decided already")]
     IdentificationDecided,
     /// The verification precedes the end of the search, or was used already.
     #[error("the verification cannot update the profile now")]
@@ -203,7 +204,7 @@ pub enum EntryError {
     /// A rig is taken out twice.
     #[error("the rig is taken out already")]
     TakenOutAlready,
-    /// An identification of these recordings is not due.
+    /// A failed fit to these recordings is not due.
     #[error("these recordings cannot update the profile now")]
     RecordingsNotDue,
 }
@@ -302,15 +303,15 @@ impl SessionState {
         self.search_end.map_or_else(|| self.latest_profile(), |end| end.profile)
     }
 
-    /// Whether the session has used the recordings of the verification: they have led to the last
-    /// profile, or left the profile as it was.
+    /// Returns whether the session has used the recordings of the verification: they have led to
+    /// the last profile, or left the profile as it was.
     #[must_use]
     pub fn took_in_verification(&self) -> bool {
         self.took_in_verification
     }
 
     /// The reason why the recordings of the verification left the profile as it was; `None` if they
-    /// did not, or are not used yet.
+    /// changed it, or are not used yet.
     #[must_use]
     pub fn unchanged_by_verification(&self) -> Option<&str> {
         self.unchanged_by_verification.as_deref()
@@ -323,7 +324,7 @@ impl SessionState {
         &self.finished_since_profile
     }
 
-    /// The attempt that the last entry names as void; `None` if the last entry is another one.
+    /// The attempt that the last entry names as void; `None` if the last entry is of another kind.
     #[must_use]
     pub fn last_void(&self) -> Option<VoidAttempt> {
         self.last_void
@@ -335,7 +336,7 @@ impl SessionState {
         &self.taken_out
     }
 
-    /// Whether the rig with this number was taken out.
+    /// Returns whether the rig with this number was taken out.
     #[must_use]
     pub fn is_taken_out(&self, rig: u32) -> bool {
         self.taken_out.iter().any(|out| out.rig == rig)
@@ -486,7 +487,7 @@ impl SessionState {
         self.candidates.get_mut(number as usize).ok_or(EntryError::NoSuchCandidate)
     }
 
-    /// The candidate of this attempt, if the attempt is the next one that is due.
+    /// The candidate of this attempt, if the attempt is due next.
     fn candidate_due(&mut self, attempt: AttemptId) -> Result<&mut Candidate, EntryError> {
         let candidate = self.candidate(attempt.candidate)?;
         let due =
@@ -517,7 +518,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fit_that_fails_doubts_the_profile_until_another_one_succeeds() {
+    fn a_failed_fit_leaves_the_profile_in_doubt_until_another_fit_succeeds() {
         let known = |entries: &[Entry]| SessionState::of(entries).map(|it| it.identification);
         let mut entries = vec![identified(1, &[])];
         assert!(!known(&entries).unwrap().is_doubted());

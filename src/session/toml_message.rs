@@ -1,6 +1,6 @@
 use super::retired::RENAMED;
 
-/// The types of whole numbers that the parser names, and what they accept.
+/// The parser's words for the types of whole numbers, and the words that replace them in messages.
 const WHOLE_NUMBERS: [(&str, &str); 4] = [
     ("expected u64", "expected a whole number from 0 on"),
     ("expected u32", "expected a whole number from 0 to 4 294 967 295"),
@@ -8,9 +8,8 @@ const WHOLE_NUMBERS: [(&str, &str); 4] = [
     ("expected u8", "expected a whole number from 0 to 255"),
 ];
 
-/// The message of an error about TOML, which names no type of the program. Where it lists the names
-/// that are expected in place of an unknown one, the list has no earlier name beside the present
-/// one.
+/// The message of an error about TOML, without the names of the program's types. A list of expected
+/// names in it has no earlier name of an entry beside the present name.
 pub(crate) fn toml_message(error: &toml::de::Error) -> String {
     let mut message = error.to_string().trim_end().to_owned();
     for (kind, words) in WHOLE_NUMBERS {

@@ -11,12 +11,12 @@ use crate::storage::{Disk, WriteError, write_whole};
 const FILE_BYTES: u64 = 64 << 10;
 
 /// The start and the end of one training of a candidate, by the clock of the session's computer.
-/// For a training on another computer, the start is the moment when the session asked for it, and
+/// For a training on another computer, the start is the moment when the session requested it, and
 /// the end is the arrival of its result, so the time includes the wait for a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingTime {
-    /// Number of the training among those of its candidate.
+    /// Number of the training among the candidate's trainings.
     pub training: u32,
     /// Start of the training, ns since 1970.
     pub began_unix_ns: u64,
@@ -48,7 +48,7 @@ pub enum TrainingTimesError {
     Order {
         /// Path of the file.
         path: PathBuf,
-        /// Number of the training among those of its candidate.
+        /// Number of the training among the candidate's trainings.
         training: u32,
     },
 }
@@ -95,7 +95,7 @@ mod tests {
     use crate::storage::MachineDisk;
 
     #[test]
-    fn times_read_back_and_impossible_ones_are_named() {
+    fn written_times_are_read_again_and_an_error_names_an_invalid_file() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("training-times.json");
         let times = [TrainingTime { training: 1, began_unix_ns: 5, ended_unix_ns: unix_ns() }];

@@ -72,7 +72,7 @@ pub struct ScoredRollout {
 }
 
 impl ScoredRollout {
-    /// A recorded rollout on which the verdict is known.
+    /// Describes a recorded rollout on which the verdict is known.
     #[must_use]
     pub fn of(recording: &Recording, verdict: Verdict) -> Self {
         let quietness = Quietness::of(&recording.ticks, &recording.header.settings.plant);
@@ -93,8 +93,8 @@ pub struct ScoredCandidate {
     pub verdicts: Vec<Verdict>,
     /// Quietness of the balancing in these rollouts.
     pub quietness: Quietness,
-    /// Name of the model that the policy of these rollouts was trained in without psi, whatever the
-    /// candidate's point is: a policy for an unidentified Qube competes where an identification is
+    /// Name of the model that the policy of these rollouts was trained in without psi, although the
+    /// candidate has a point: a policy for an unidentified Qube competes if an identification is
     /// doubted. `None` if the policy was trained for a psi or is no network.
     pub model_without_psi: Option<String>,
 }
@@ -122,7 +122,7 @@ impl RigResults {
 /// quietly is better than any that does not; among equals, the mean return decides.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct CandidateRank {
-    /// Whether all its rollouts succeeded quietly (not [`Quietness::is_loud`]).
+    /// True if all its rollouts succeeded and balanced quietly (not [`Quietness::is_loud`]).
     pub succeeds_quietly: bool,
     /// Mean return of its rollouts.
     pub mean_return: f64,
@@ -190,8 +190,8 @@ impl ScoredCandidate {
         results.into_values().collect()
     }
 
-    /// Whether the search learns from the returns: there is one, and the policy was trained at the
-    /// candidate's point.
+    /// Returns whether the search learns from the returns: there is at least one verdict, and the
+    /// policy was trained at the candidate's point.
     #[must_use]
     pub fn informs_search(&self) -> bool {
         !self.verdicts.is_empty() && self.model_without_psi.is_none()
@@ -204,8 +204,8 @@ impl ScoredCandidate {
         Observation { point: self.candidate.point.clone(), returns: self.returns() }
     }
 
-    /// The index of the verified candidate of the highest [`Self::rank`]; in a tie, of the one that
-    /// was proposed first.
+    /// The index of the verified candidate of the highest [`Self::rank`]; in a tie, the index of
+    /// the candidate that was proposed first.
     #[must_use]
     pub fn best_verified(candidates: &[Self]) -> Option<usize> {
         let mut best: Option<(usize, CandidateRank)> = None;
@@ -233,7 +233,9 @@ mod tests {
     #[test]
     fn a_policy_without_psi_does_not_inform_the_search() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
-        let Ok(Policy::Network(robust)) = Policy::load(&path) else { panic!("a network") };
+        let Ok(Policy::Network(robust)) = Policy::load(&path) else {
+            panic!("the file holds no network")
+        };
         assert_eq!(robust.training.psi, None);
         let psi = Some(BTreeMap::from([("filter".to_owned(), 50.0)]));
         let training = TrainingRecord { psi, ..robust.training.clone() };

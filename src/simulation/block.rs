@@ -93,8 +93,8 @@ pub(super) struct Environment {
 /// sensors, statuses and observations.
 pub(super) struct Step<'a> {
     pub(super) blocks: &'a mut [Block],
-    /// Memory of the observers that estimate the policies' states, one entry for each block; empty
-    /// if there are no observers.
+    /// Memory of the observers that estimate the states for the policy, one entry for each block;
+    /// empty if there are no observers.
     pub(super) observers: &'a mut [ObserverLanes],
     pub(super) environment: &'a Environment,
     pub(super) voltages_v: &'a [Lanes],
@@ -116,7 +116,7 @@ impl VectorKernel for Step<'_> {
             write_rewards(block, &environment.reward, voltages_v, rewards);
         }
         // Each substep is computed for every block before the next substep. Blocks do not depend on
-        // each other, so that the processor can work on several at once.
+        // each other, so the processor can work on several at once.
         if blocks.iter().all(|block| block.qubes.are_ideal()) {
             for _ in 0..SUBSTEPS {
                 for (block, voltages_v) in blocks.iter_mut().zip(voltages_v) {

@@ -24,8 +24,8 @@ impl Direction {
         direction
     }
 
-    /// The deviation by which the direction moves a quantity, in the quantity's unit; 0 if it does
-    /// not.
+    /// The deviation by which the direction moves a quantity, in the quantity's unit; 0 for a
+    /// quantity that it does not move.
     #[must_use]
     pub fn of(&self, quantity: Quantity) -> f64 {
         self.deviations[quantity.index()]

@@ -9,8 +9,8 @@ use crate::qube::{CONTROL_PERIOD_S, Distribution, MAX_HISTORY, Nonideality, Quan
 /// between 0.1 and 1.9 times the mean.
 ///
 /// The truncation guarantees physical draws: a parameter whose mean is above zero is above zero in
-/// every draw. The lower end is a tenth of the mean because the integrator's step still resolves an
-/// arm of a tenth of its length, but not one of a hundredth. The truncation is symmetric, so that
+/// every draw. The lower end is a tenth of the mean because the integrator's step resolves an arm
+/// of a tenth of its length, but not an arm of a hundredth. The truncation is symmetric, so that
 /// the mean of the draws is the requested mean.
 pub const TRUNCATION: f64 = 0.9;
 
@@ -20,7 +20,7 @@ pub const MAX_COMMAND_DELAY_S: f64 = MAX_HISTORY as f64 * CONTROL_PERIOD_S;
 /// The reason why a quantity cannot have a distribution.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum DistributionError {
-    /// The mean is not a physical value of the quantity.
+    /// The mean is not a value of the quantity that can be simulated.
     #[error("the mean of {symbol} is {mean}, which cannot be simulated: give a value {bound}")]
     Mean {
         /// The quantity's symbol.
@@ -131,8 +131,8 @@ impl Distribution {
         Ok(())
     }
 
-    /// The distribution of the draws of this quantity, where a uniform distribution is wider than
-    /// the [`reach`] around its mean: draws are uniform within the reach.
+    /// Returns the distribution of the draws of this quantity: a uniform distribution that is wider
+    /// than the [`reach`] around its mean is narrowed to the reach.
     #[must_use]
     pub fn of_draws(self, quantity: Quantity) -> Self {
         match self {
@@ -188,12 +188,12 @@ mod tests {
     fn moments(values: &[f64]) -> (f64, f64) {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         let variance =
-            values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / values.len() as f64;
+            values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64;
         (mean, variance.sqrt())
     }
 
     #[test]
-    fn draws_have_the_moments_asked_for() {
+    fn draws_have_the_requested_moments() {
         for distribution in [
             Distribution::Normal { mean: 0.095, standard_deviation: 0.019 },
             Distribution::Uniform { mean: 0.095, standard_deviation: 0.019 },
@@ -208,7 +208,7 @@ mod tests {
     fn normal_draws_have_a_normal_share_within_one_two_and_three_deviations() {
         let values = draws(Distribution::Normal { mean: 10.0, standard_deviation: 1.0 }, 200_000);
         for (reach, share) in [(1.0, 0.6827), (2.0, 0.9545), (3.0, 0.9973)] {
-            let within = values.iter().filter(|v| (*v - 10.0).abs() < reach).count();
+            let within = values.iter().filter(|value| (*value - 10.0).abs() < reach).count();
             assert!((within as f64 / 200_000.0 - share).abs() < 0.004, "{within} within {reach}");
         }
     }
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn strengths_of_nonidealities_reach_to_zero_and_a_place_to_either_side() {
+    fn draws_of_a_dead_zone_reach_to_zero_and_of_a_cable_rest_to_either_side() {
         let uniform = Distribution::Uniform { mean: 0.2, standard_deviation: 0.2 / sqrt(3.0) };
         let dead_zone = Quantity::Nonideality(Nonideality::PositiveDeadZone);
         assert_eq!(uniform.check(dead_zone), Ok(()));
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_distribution_that_cannot_be_drawn_is_named() {
+    fn an_error_names_the_quantity_that_cannot_be_drawn() {
         let check = |mean, standard_deviation| {
             Distribution::Normal { mean, standard_deviation }.check(DomainParameter::PendulumMass)
         };

@@ -44,12 +44,12 @@ impl Family {
 /// ([`Self::of_specimens`]) draws one of the given Qubes instead, each equally often.
 ///
 /// Every draw is physical: distributions are checked or limited when they are set
-/// ([`Self::constant`] trusts its caller), and a value that a direction moves out of its range is
+/// (but [`Self::constant`] checks nothing), and a value that a direction moves out of its range is
 /// put at the end of the range.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "Written")]
 pub struct DomainDistribution {
-    /// One distribution a quantity, in the order of [`Quantity::all`].
+    /// One distribution for each quantity, in the order of [`Quantity::all`].
     pub(super) distributions: [Distribution; Quantity::COUNT],
     /// Joint deviations; each draw multiplies each of them by a standard normal number of its own.
     pub(super) directions: Vec<Direction>,
@@ -184,7 +184,7 @@ impl DomainDistribution {
         for quantity in Quantity::all() {
             let mean = model.get(quantity);
             // The standard deviation is at most the distance to the nearer end of the range. `min`
-            // would make the largest one of a spread that is not a number.
+            // would turn a spread that is not a number into this largest standard deviation.
             let wanted = spread * mean.abs();
             let most = reach(quantity, mean);
             let standard_deviation = if wanted > most { most } else { wanted };
@@ -226,9 +226,9 @@ impl DomainDistribution {
         sqrt(own * own + squares.sum::<f64>())
     }
 
-    /// The distribution of a quantity's draws before truncation, whatever the other quantities are:
-    /// its own, or, if directions move it too, the normal distribution with the mean and the
-    /// [`Self::standard_deviation`] of its draws.
+    /// The distribution of a quantity's draws before truncation, over all values of the other
+    /// quantities: its own, or, if directions move it too, the normal distribution with the mean
+    /// and the [`Self::standard_deviation`] of its draws.
     #[must_use]
     pub fn marginal(&self, quantity: impl Into<Quantity>) -> Distribution {
         let quantity = quantity.into();
@@ -254,7 +254,7 @@ impl DomainDistribution {
         self
     }
 
-    /// This distribution, which describes Qubes, converted to another plant: the distribution of
+    /// Converts this distribution, which describes Qubes, to another plant: the distribution of
     /// each quantity is scaled by [`PlantModel::proportion`]. Directions and specimens stay as they
     /// are.
     ///
@@ -320,8 +320,8 @@ impl DomainDistribution {
                 .fold(model.get(quantity), |it, (direction, deviation)| {
                     it + deviation * direction.of(quantity)
                 });
-            // Held in range once, after all directions: a walk that is held at each step drifts
-            // away from the end of the range.
+            // The value is held in its range once, after all directions, because a walk that is
+            // held at each step drifts away from the end of the range.
             model.set(quantity, held_in_range(quantity, self.get(quantity).mean(), moved));
         }
         model
@@ -413,7 +413,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn around_a_qube_its_values_are_the_means_and_what_is_zero_stays() {
+    fn a_distribution_around_a_qube_has_its_values_as_means_and_keeps_its_zeros() {
         let mut model = QubeModel::NOMINAL;
         model.nonidealities.cable_rest_rad = -1.0;
         model.nonidealities.command_delay_s = 0.01;
@@ -437,7 +437,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn the_robust_distribution_is_physical_and_meets_the_lab() {
+    fn the_robust_distribution_is_physical_and_draws_short_and_long_delays() {
         let robust = DomainDistribution::robust();
         for quantity in Quantity::all() {
             assert_eq!(robust.get(quantity).check(quantity), Ok(()), "{quantity:?}");
@@ -445,7 +445,7 @@ pub(super) mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         let delays: Vec<f64> =
             (0..500).map(|_| robust.sample(&mut rng).nonidealities.command_delay_s).collect();
-        assert!(delays.iter().any(|&s| s < 0.001) && delays.iter().any(|&s| s > 0.015));
+        assert!(delays.iter().any(|&it| it < 0.001) && delays.iter().any(|&it| it > 0.015));
     }
 
     /// A posterior in which the errors of motor resistance and back-EMF are correlated and the

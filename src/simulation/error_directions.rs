@@ -3,8 +3,8 @@ use nalgebra::{DMatrix, SymmetricEigen};
 use super::{Direction, DomainDistribution};
 use crate::qube::{PlantModel, Profile, Quantity};
 
-/// Smallest width of a direction that [`Direction::of_errors`] keeps, in the units of width that
-/// are described there; narrower directions are negligible.
+/// Smallest width of a direction that [`Direction::of_errors`] keeps, in that function's units of
+/// width; narrower directions are negligible.
 const SMALLEST_WIDTH: f64 = 1e-6;
 
 impl Direction {
@@ -14,7 +14,8 @@ impl Direction {
     ///
     /// To compare quantities of different units, the width of a direction is measured in the
     /// standard deviations of the distribution `robust` for the profile's plant, the belief about a
-    /// specimen before any data; a quantity that `robust` holds constant, in tenths of its value.
+    /// specimen before any data. For a quantity that `robust` holds constant, the unit of width is
+    /// a tenth of its nominal value; if the plant's nominal value is 0, it is the standard error.
     #[must_use]
     pub fn of_errors(profile: &Profile, plant: &PlantModel) -> Vec<Self> {
         let quantities: Vec<Quantity> =

@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn returns_are_those_of_plain_rollouts_in_f64() {
+    fn returns_equal_the_returns_of_plain_rollouts_in_f64() {
         let distribution = DomainDistribution::handcrafted(Family::Normal);
         let settings = SimulationSettings::default();
         let evaluation = evaluate(&mut pushing, &distribution, &settings, 5, 20);

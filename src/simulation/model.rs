@@ -22,7 +22,7 @@ pub enum Model {
     OptNominal,
     /// Parameters and nonidealities vary as for a Qube that is not identified.
     Robust,
-    /// Parameters and nonidealities vary around those of an identified Qube.
+    /// Parameters and nonidealities vary around the values of an identified Qube.
     Profile,
     /// Quantities that psi names follow psi, which a session searches; the others are as in
     /// `robust`.
@@ -44,9 +44,9 @@ pub struct ProfileSettings {
     /// Directions of the identification's errors ([`Direction::of_errors`]), the widest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<Direction>,
-    /// Axes along which psi shifts the means; empty if these are `directions`. A search keeps the
-    /// axes of its first profile, so that a shift keeps its meaning while the errors change. Files
-    /// do not have them, because they follow from the profiles.
+    /// Axes along which psi shifts the means; empty if `directions` are the axes. A search keeps
+    /// the axes of its first profile, so that a shift keeps its meaning while the errors change.
+    /// Files do not have them, because they follow from the profiles.
     #[serde(skip)]
     pub axes: Vec<Direction>,
 }
@@ -118,7 +118,7 @@ impl Model {
         }
     }
 
-    /// Whether the model leaves a psi to a search.
+    /// Returns whether the model leaves a psi to a search.
     #[must_use]
     pub fn is_searched(self) -> bool {
         self.searched() == self
@@ -143,13 +143,13 @@ impl Model {
         }
     }
 
-    /// Whether the model is drawn around an identified Qube.
+    /// Returns whether the model is drawn around an identified Qube.
     #[must_use]
     pub fn needs_profile(self) -> bool {
         self.searched() == Self::OptProfile
     }
 
-    /// Whether simulations have the nonidealities of real Qubes.
+    /// Returns whether simulations have the nonidealities of real Qubes.
     #[must_use]
     pub fn has_nonidealities(self) -> bool {
         matches!(self.searched(), Self::OptRobust | Self::OptProfile)

@@ -14,7 +14,7 @@ pub const LANES_MULTIPLE: usize = BLOCK;
 ///
 /// Slices with one entry for each lane have length [`Self::lanes`]. Observations are feature-major,
 /// `[observation_size][lanes]`: feature `f` of lane `i` is entry `f * lanes + i`
-/// ([`super::Observations`] reads them lane by lane). The features are those of
+/// ([`super::Observations`] reads them lane by lane). An observation contains the features of
 /// [`crate::qube::observation`], then the last commands as fractions of 5 V, newest first; commands
 /// before the start of a trajectory count as zero. The numbers of a lane depend on its own
 /// trajectory and voltages alone, and have the same bits on every instruction set.
@@ -29,14 +29,14 @@ pub struct Pendulums {
 }
 
 impl Pendulums {
-    /// At least `lanes` pendulums (rounded up to a multiple of [`LANES_MULTIPLE`]). They are
-    /// nominal Qubes that hang at rest, until [`Self::restart`] gives them a trajectory.
+    /// Creates at least `lanes` pendulums (rounded up to a multiple of [`LANES_MULTIPLE`]). They
+    /// are nominal Qubes that hang at rest, until [`Self::restart`] gives them a trajectory.
     ///
     /// # Panics
     /// Panics if the history is longer than [`MAX_HISTORY`].
     #[must_use]
     pub fn new(lanes: usize, settings: &SimulationSettings) -> Self {
-        assert!(settings.history <= MAX_HISTORY, "history: 0 to {MAX_HISTORY}");
+        assert!(settings.history <= MAX_HISTORY, "the history must be from 0 to {MAX_HISTORY}");
         let (blocks, sensors) =
             (lanes.div_ceil(BLOCK), Sensors::new(&settings.sensors, &settings.plant));
         let observers = if sensors.observe() { blocks } else { 0 };
@@ -80,12 +80,13 @@ impl Pendulums {
     /// overwrites them.
     ///
     /// # Panics
-    /// Panics if the lane does not exist, or if the Qube's command delay is negative or longer than
+    /// Panics if the lane does not exist, or if the Qube's command delay is not from 0 to
     /// [`super::MAX_COMMAND_DELAY_S`].
     pub fn restart(&mut self, lane: usize, trajectory: &Trajectory) {
         let Trajectory { model, start } = trajectory;
         let delays = 0.0..=MAX_COMMAND_DELAY_S;
-        assert!(delays.contains(&model.nonidealities.command_delay_s), "delay: {delays:?} s");
+        let delay_s = model.nonidealities.command_delay_s;
+        assert!(delays.contains(&delay_s), "the command delay must be within {delays:?} s");
         let state = start.cast();
         let seen = self.environment.sensors.first(&state);
         self.blocks[lane / BLOCK].restart(lane % BLOCK, model, &state, &seen);
@@ -123,7 +124,7 @@ impl Pendulums {
     /// `voltages_v` are clipped to the largest voltage of the plant, ±5 V for a Qube. The call
     /// writes the `rewards` for the clipped voltages and the states that the policies saw before
     /// the step, the `statuses` of the trajectories after the step, and the `observations` after
-    /// the step, `[observation_size][lanes]`, also those of trajectories that end with this step.
+    /// the step, `[observation_size][lanes]`, also of trajectories that end with this step.
     ///
     /// A lane whose trajectory has ended continues with meaningless numbers until it is restarted;
     /// they do not affect other lanes. A state that is not a number counts as outside the box.
@@ -138,9 +139,9 @@ impl Pendulums {
         observations: &mut [f32],
     ) {
         let lanes = self.lanes();
-        assert_eq!(voltages_v.len(), lanes, "voltages_v: [lanes]");
-        assert_eq!(rewards.len(), lanes, "rewards: [lanes]");
-        assert_eq!(statuses.len(), lanes, "statuses: [lanes]");
+        assert_eq!(voltages_v.len(), lanes, "voltages_v must have one entry for each lane");
+        assert_eq!(rewards.len(), lanes, "rewards must have one entry for each lane");
+        assert_eq!(statuses.len(), lanes, "statuses must have one entry for each lane");
         self.check_length_of(observations);
         let (voltages_v, _) = voltages_v.as_chunks();
         let (rewards, _) = rewards.as_chunks_mut();
@@ -160,7 +161,11 @@ impl Pendulums {
 
     fn check_length_of(&self, observations: &[f32]) {
         let expected = self.observation_size * self.lanes();
-        assert_eq!(observations.len(), expected, "observations: [observation_size][lanes]");
+        assert_eq!(
+            observations.len(),
+            expected,
+            "observations must have the shape [observation_size][lanes]"
+        );
     }
 
     /// The true state of the Qube in a lane, rad and rad/s.

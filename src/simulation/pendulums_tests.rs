@@ -44,8 +44,8 @@ impl Bench {
     }
 }
 
-/// A trajectory with a drawn Qube, whose start has angles and velocities up to those of `reach` on
-/// either side; all numbers are exact in `f32`.
+/// A trajectory with a drawn Qube, whose start has angles and velocities up to the values of
+/// `reach` on either side; all numbers are exact in `f32`.
 fn anywhere(number: u64, reach: &State) -> Trajectory {
     let distribution = DomainDistribution::handcrafted(Family::Normal);
     let trajectory = Trajectory::draw(&distribution, 11, number);
@@ -135,7 +135,7 @@ fn every_instruction_set_computes_the_bits_of_the_scalar_equations() {
 }
 
 #[test]
-fn a_lane_knows_nothing_of_the_others() {
+fn a_lane_does_not_depend_on_other_lanes() {
     let reach = State { theta: 1.0, alpha: 3.0, theta_dot: 5.0, alpha_dot: 5.0 };
     let mut few = Bench::new(16, &SimulationSettings::default());
     let mut many = Bench::new(96, &SimulationSettings::default());
@@ -156,7 +156,7 @@ fn a_lane_knows_nothing_of_the_others() {
 }
 
 #[test]
-fn a_trajectory_ends_at_the_box_at_what_is_not_a_number_and_after_600_steps() {
+fn a_trajectory_ends_at_the_box_at_a_state_that_is_not_a_number_and_after_600_steps() {
     let mut bench = Bench::new(16, &SimulationSettings::default());
     let nominal = DomainDistribution::nominal();
     for lane in 0..16 {
@@ -187,9 +187,8 @@ fn a_trajectory_ends_at_the_box_at_what_is_not_a_number_and_after_600_steps() {
     assert_eq!(bench.statuses[0], LaneStatus::Running);
 }
 
-/// Simulates one lane for 3 s, with the machine's estimator beside it that gets the same encoder
-/// counts. Returns the largest differences between the states that both show to a policy, rad and
-/// rad/s.
+/// Simulates one lane for 3 s, and gives the machine's estimator the same encoder counts. Returns
+/// the largest differences between the states that both show to a policy, rad and rad/s.
 fn beside_the_machine(estimator: EstimatorSettings, safety_box: SafetyBox) -> (f64, f64) {
     let settings = SimulationSettings {
         sensors: SensorModel::Encoders { estimator },
@@ -230,7 +229,7 @@ fn beside_the_machine(estimator: EstimatorSettings, safety_box: SafetyBox) -> (f
 }
 
 #[test]
-fn encoders_show_what_the_estimator_of_the_machine_makes_of_the_counts() {
+fn simulated_encoders_show_the_estimates_of_the_machines_estimator() {
     for corner_rad_s in [50.0, 200.0, 300.0] {
         let estimator = EstimatorSettings::filter(corner_rad_s);
         let (angle, velocity) = beside_the_machine(estimator, SafetyBox::THESIS);
@@ -247,7 +246,7 @@ fn encoders_show_what_the_estimator_of_the_machine_makes_of_the_counts() {
 
 #[test]
 fn simulated_lanes_guard_by_the_guards_own_filter_like_a_real_tick() {
-    // The box is so narrow that the velocities cross its limits again and again.
+    // The box is so narrow that the velocities cross its limits many times.
     let safety_box =
         SafetyBox { theta_dot: 5.0, alpha_dot: 5.0, theta: 100.0, ..SafetyBox::THESIS };
     let observer = ObserverSettings::default().with_delay(0.02);
@@ -261,7 +260,7 @@ fn simulated_lanes_guard_by_the_guards_own_filter_like_a_real_tick() {
 }
 
 #[test]
-fn a_lane_knows_nothing_of_what_was_observed_before_its_restart() {
+fn a_restarted_lane_does_not_depend_on_earlier_observations() {
     let estimator = EstimatorSettings::observer(ObserverSettings::default().with_delay(0.025));
     let settings = SimulationSettings {
         sensors: SensorModel::Encoders { estimator },
@@ -285,7 +284,7 @@ fn a_lane_knows_nothing_of_what_was_observed_before_its_restart() {
 }
 
 #[test]
-fn observing_writes_what_the_step_wrote() {
+fn observing_writes_the_same_observations_as_the_step() {
     let mut bench = Bench::new(32, &SimulationSettings::default());
     for lane in 0..32 {
         let reach = State { theta: 1.0, alpha: 3.0, theta_dot: 5.0, alpha_dot: 5.0 };

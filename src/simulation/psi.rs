@@ -57,8 +57,8 @@ impl Psi {
     /// Reads a TOML file with one line `name = value` for each entry.
     ///
     /// # Errors
-    /// The file cannot be read or is not TOML, has no entry, one with an unknown name or one twice,
-    /// or a value is not physical.
+    /// The file cannot be read or is not TOML, has no entry, an entry with an unknown name or the
+    /// same entry twice, or a value is not physical.
     pub fn load(path: &Path) -> Result<Self, PsiError> {
         let text = read_text(path, SETTINGS_BYTES)
             .map_err(|source| PsiError::Unreadable { path: path.to_owned(), source })?;
@@ -100,7 +100,7 @@ mod tests {
     use crate::qube::{DomainParameter, Nonideality};
 
     #[test]
-    fn a_file_is_read_and_what_is_wrong_with_it_is_said() {
+    fn a_file_is_read_and_an_error_names_its_defect() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("psi.toml");
         let load = |text: &str| {

@@ -67,17 +67,17 @@ impl PsiTarget {
     /// covers every measured Qube.
     #[must_use]
     pub fn default_range(self) -> (f64, f64) {
-        use DomainParameter as P;
-        use Nonideality as N;
+        use DomainParameter as Parameter;
+        use Nonideality as Term;
         match self {
-            Self::Mean(Quantity::Parameter(P::PendulumMass)) => (0.019, 0.029),
-            Self::StandardDeviation(Quantity::Parameter(P::PendulumMass)) => (5e-5, 5e-3),
-            Self::Mean(Quantity::Parameter(P::RotaryMass)) => (0.085, 0.110),
-            Self::StandardDeviation(Quantity::Parameter(P::RotaryMass)) => (3e-4, 3e-2),
-            Self::Mean(Quantity::Parameter(P::PendulumLength)) => (0.115, 0.140),
-            Self::StandardDeviation(Quantity::Parameter(P::PendulumLength)) => (5e-4, 5e-2),
-            Self::Mean(Quantity::Parameter(P::RotaryLength)) => (0.070, 0.095),
-            Self::StandardDeviation(Quantity::Parameter(P::RotaryLength)) => (2e-4, 2e-2),
+            Self::Mean(Quantity::Parameter(Parameter::PendulumMass)) => (0.019, 0.029),
+            Self::StandardDeviation(Quantity::Parameter(Parameter::PendulumMass)) => (5e-5, 5e-3),
+            Self::Mean(Quantity::Parameter(Parameter::RotaryMass)) => (0.085, 0.110),
+            Self::StandardDeviation(Quantity::Parameter(Parameter::RotaryMass)) => (3e-4, 3e-2),
+            Self::Mean(Quantity::Parameter(Parameter::PendulumLength)) => (0.115, 0.140),
+            Self::StandardDeviation(Quantity::Parameter(Parameter::PendulumLength)) => (5e-4, 5e-2),
+            Self::Mean(Quantity::Parameter(Parameter::RotaryLength)) => (0.070, 0.095),
+            Self::StandardDeviation(Quantity::Parameter(Parameter::RotaryLength)) => (2e-4, 2e-2),
             Self::Mean(Quantity::Parameter(other)) => {
                 let nominal = QubeModel::NOMINAL.parameters.get(other);
                 (0.8 * nominal, 1.2 * nominal)
@@ -86,18 +86,18 @@ impl PsiTarget {
                 (0.0, 0.3 * QubeModel::NOMINAL.parameters.get(other))
             }
             Self::Mean(Quantity::Nonideality(term)) => match term {
-                N::CoulombTorque => (0.0, 1e-3),
-                N::PositiveDeadZone | N::NegativeDeadZone => (0.0, 0.5),
-                N::CableStiffness => (0.0, 2e-3),
-                N::CableRest => (-1.5, 1.5),
-                N::CommandDelay => (0.0, 0.02),
+                Term::CoulombTorque => (0.0, 1e-3),
+                Term::PositiveDeadZone | Term::NegativeDeadZone => (0.0, 0.5),
+                Term::CableStiffness => (0.0, 2e-3),
+                Term::CableRest => (-1.5, 1.5),
+                Term::CommandDelay => (0.0, 0.02),
             },
             Self::StandardDeviation(Quantity::Nonideality(term)) => match term {
-                N::CoulombTorque => (0.0, 5e-4),
-                N::PositiveDeadZone | N::NegativeDeadZone => (0.0, 0.25),
-                N::CableStiffness => (0.0, 1e-3),
-                N::CableRest => (0.0, 1.0),
-                N::CommandDelay => (0.0, 0.01),
+                Term::CoulombTorque => (0.0, 5e-4),
+                Term::PositiveDeadZone | Term::NegativeDeadZone => (0.0, 0.25),
+                Term::CableStiffness => (0.0, 1e-3),
+                Term::CableRest => (0.0, 1.0),
+                Term::CommandDelay => (0.0, 0.01),
             },
             Self::Filter => (20.0, 500.0),
             // Factors from 0.5 to 3.
@@ -191,8 +191,8 @@ impl PsiDimension {
         Ok(Self { target, lower, upper })
     }
 
-    /// This dimension, which describes Qubes, converted to another plant: the range of a mean or a
-    /// standard deviation is scaled by [`PlantModel::proportion`], any other range stays.
+    /// Converts this dimension, which describes Qubes, to another plant: scales the range of a mean
+    /// or a standard deviation by [`PlantModel::proportion`] and leaves any other range as it is.
     #[must_use]
     pub fn of_plant(self, plant: &PlantModel) -> Self {
         let factor = match self.target {
@@ -251,7 +251,7 @@ impl<'de> Deserialize<'de> for PsiDimension {
 }
 
 /// Reads the next dimension of a list, given the dimensions before it. It checks the dimension
-/// while its table is read, so that an error names the line of this table and not the list's.
+/// while its table is read, so that an error names the line of this table and not of the list.
 pub(super) struct DimensionAfter<'a>(pub(super) &'a [PsiDimension]);
 
 impl<'de> DeserializeSeed<'de> for DimensionAfter<'_> {
@@ -292,7 +292,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_target_has_a_name_of_its_own_and_a_range_that_can_be() {
+    fn every_target_has_a_name_of_its_own_and_a_valid_range() {
         let targets = Quantity::all()
             .flat_map(|quantity| {
                 [PsiTarget::Mean(quantity), PsiTarget::StandardDeviation(quantity)]
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn ends_may_be_left_out_and_bad_ones_are_named() {
+    fn an_end_of_a_range_may_be_left_out_and_an_invalid_end_is_named() {
         let read = |text: &str| toml::from_str::<PsiDimension>(text);
         let default = PsiDimension::named("mean_delay").unwrap();
         assert_eq!(read("name = \"mean_delay\"\n").unwrap(), default);

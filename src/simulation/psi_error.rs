@@ -8,10 +8,10 @@ use crate::qube::Quantity;
 /// The reason why numbers or a file are not a psi, or why a model gives no distribution.
 #[derive(Debug, Error)]
 pub enum PsiError {
-    /// The point has not one entry for each dimension of the search space.
+    /// A psi does not have one entry for each dimension of the search space.
     #[error("this psi has {entries} entries: give one number for each of {expected}")]
     WrongLength {
-        /// Length of the point.
+        /// Number of the psi's entries.
         entries: usize,
         /// Names of the expected entries.
         expected: String,
@@ -28,7 +28,7 @@ pub enum PsiError {
         /// Upper end of its range.
         upper: f64,
     },
-    /// The name does not exist.
+    /// No entry of psi has this name.
     #[error(
         "{name} is no entry of psi: give `filter`, `log_width`, `shift_1` to `shift_3`, or mean_ or std_ followed by one \
          of lag, {}, as in std_delay",
@@ -60,8 +60,8 @@ pub enum PsiError {
         /// Upper end of its range.
         upper: f64,
     },
-    /// The search space names an entry of psi more than once.
-    #[error("psi names {name} twice: name it once")]
+    /// The search space of psi has two dimensions for the same entry.
+    #[error("the search space of psi names {name} twice: name it once")]
     Twice {
         /// Name of the entry.
         name: String,

@@ -14,7 +14,8 @@ const THESIS: [&str; 8] =
     ["mean_M_p", "std_M_p", "mean_M_r", "std_M_r", "mean_L_p", "std_L_p", "mean_L_r", "std_L_r"];
 
 /// The search space of psi. Each dimension is the range of one entry of psi. A point of the space
-/// has one entry for each dimension, in this order and in the unit of the dimension's target.
+/// has one entry for each dimension, in the order of the dimensions and in the unit of the
+/// dimension's target.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(into = "Vec<PsiDimension>")]
 pub struct PsiSpace {
@@ -54,7 +55,7 @@ impl PsiSpace {
     /// Never panics.
     #[must_use]
     pub fn thesis() -> Self {
-        Self::named(&THESIS).expect("names that exist, each once")
+        Self::named(&THESIS).expect("the names exist and differ")
     }
 
     /// The search space around an identified Qube: the common width of all standard deviations,
@@ -72,7 +73,7 @@ impl PsiSpace {
         let names: Vec<String> =
             std::iter::once("log_width".to_owned()).chain(shifts).chain(lag).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        Self::named(&names).expect("names that exist, each once")
+        Self::named(&names).expect("the names exist and differ")
     }
 
     /// The point at which psi changes nothing: all entries are 0. It is meaningful for a space of
@@ -82,7 +83,7 @@ impl PsiSpace {
         vec![0.0; self.dimensions.len()]
     }
 
-    /// This space, which describes Qubes, converted to another plant ([`PsiDimension::of_plant`]).
+    /// Converts this space, which describes Qubes, to another plant ([`PsiDimension::of_plant`]).
     #[must_use]
     pub fn of_plant(self, plant: &PlantModel) -> Self {
         let dimensions = self.dimensions.into_iter().map(|dimension| dimension.of_plant(plant));
@@ -112,7 +113,7 @@ impl PsiSpace {
         self.dimensions.iter().map(|dimension| dimension.upper).collect()
     }
 
-    /// Whether the space has a dimension with this target.
+    /// Returns whether the space has a dimension with this target.
     #[must_use]
     pub fn has(&self, target: PsiTarget) -> bool {
         self.dimensions.iter().any(|dimension| dimension.target == target)
@@ -127,8 +128,8 @@ impl PsiSpace {
     /// The psi at a point.
     ///
     /// # Errors
-    /// The point has not one entry for each dimension, or a value lies outside its dimension's
-    /// range or is not physical.
+    /// The number of the point's entries is not the number of dimensions, or a value lies outside
+    /// its dimension's range or is not physical.
     pub fn psi(&self, point: &[f64]) -> Result<Psi, PsiError> {
         if point.len() != self.dimensions.len() {
             return Err(PsiError::WrongLength {
@@ -205,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn any_list_makes_a_space_but_an_empty_one_and_one_with_a_name_twice() {
+    fn a_list_of_names_makes_a_space_unless_it_is_empty_or_has_a_name_twice() {
         let space = PsiSpace::named(&["mean_delay", "filter", "std_coulomb"]).unwrap();
         assert!(space.has(PsiTarget::Filter));
         let point = [0.01, 50.0, 1e-4];

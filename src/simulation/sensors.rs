@@ -62,7 +62,7 @@ impl Sensors {
         }
     }
 
-    /// Whether each block needs the memory of an observer.
+    /// Returns whether each block needs the memory of an observer.
     pub(super) fn observe(&self) -> bool {
         self.observer.is_some()
     }

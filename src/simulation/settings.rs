@@ -11,8 +11,9 @@ use super::{Psi, SimulationSettingError, box_file};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimulationSettings {
-    /// Sensors through which policy and reward see the state. With encoders, the guard sees it
-    /// through a velocity filter with a corner of at least 200 rad/s, whatever the policy's is.
+    /// Sensors through which policy and reward see the state. With encoders, the guard sees the
+    /// state through a velocity filter with a corner of at least 200 rad/s, also if the policy's
+    /// corner is lower.
     pub sensors: SensorModel,
     /// Number of last commands in an observation in addition to the state, 0 to
     /// [`crate::qube::MAX_HISTORY`]. They show the policy which voltages have not reached the motor
@@ -38,7 +39,7 @@ impl SimulationSettings {
         OBSERVATION_SIZE + self.history
     }
 
-    /// Checks that every setting is in its range, and the box no wider than the task's,
+    /// Checks that every setting is in its range, and that the box is no wider than the task's,
     /// [`SafetyBox::GUARDED`].
     ///
     /// # Errors
@@ -76,7 +77,7 @@ impl SimulationSettings {
         Ok(self.plant.check()?)
     }
 
-    /// Sets the velocity filter's corner frequency to the one in psi, if psi names it. A simulation
+    /// Sets the velocity filter's corner frequency to psi's value, if psi has one. A simulation
     /// with true states has no filter and stays as it is.
     #[must_use]
     pub fn shaped_by(mut self, psi: &Psi) -> Self {
@@ -88,8 +89,8 @@ impl SimulationSettings {
         self
     }
 
-    /// These settings, which describe Qubes, converted to another plant. The limit of theta shrinks
-    /// in proportion if the plant's stops are nearer than those of a Qube.
+    /// Converts these settings, which describe Qubes, to another plant. The limit of theta shrinks
+    /// in proportion if the plant's stops are nearer than a Qube's stops.
     #[must_use]
     pub fn of_plant(self, plant: &PlantModel) -> Self {
         Self { safety_box: self.safety_box.within_travel(plant), plant: *plant, ..self }
@@ -150,7 +151,8 @@ pub enum SensorModel {
 struct SensorTable {
     #[serde(rename = "type")]
     kind: SensorKind,
-    /// Ignored for true states: a file that selects them may override one with an estimator.
+    /// Ignored for true states: a file that overrides settings may select true states by `type`
+    /// alone, and the estimator of these settings remains.
     #[serde(default)]
     estimator: EstimatorSettings,
 }

@@ -11,7 +11,7 @@ impl DomainDistribution {
     /// follow, as far as psi names them (see [`PsiTarget`]). A standard deviation that is too large
     /// for its mean is reduced to the largest accepted one.
     ///
-    /// A distribution of specimens ([`Self::of_specimens`]) still draws the same Qubes.
+    /// Psi does not change the draws of a distribution of specimens ([`Self::of_specimens`]).
     #[must_use]
     pub fn shaped_by(self, psi: &Psi, family: Family) -> Self {
         let axes = self.directions.clone();
@@ -100,8 +100,9 @@ mod tests {
 
     /// The psi at the centre of its box.
     fn middle(space: &PsiSpace) -> Psi {
-        let point = space.lower().into_iter().zip(space.upper()).map(|(a, b)| 0.5 * (a + b));
-        space.psi(&point.collect::<Vec<_>>()).unwrap()
+        let ends = space.lower().into_iter().zip(space.upper());
+        let point: Vec<f64> = ends.map(|(lower, upper)| 0.5 * (lower + upper)).collect();
+        space.psi(&point).unwrap()
     }
 
     fn is_random(distribution: &DomainDistribution) -> [bool; 9] {
@@ -109,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn the_models_randomise_what_the_thesis_says() {
+    fn the_models_randomise_the_parameters_that_the_thesis_names() {
         let psi = middle(&PsiSpace::thesis());
         let masses_and_lengths = [false, false, false, false, false, true, true, true, true];
         for family in [Family::Normal, Family::Uniform] {
@@ -142,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_the_corner_of_the_box_draws_are_physical() {
+    fn draws_are_physical_at_every_corner_of_the_box() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let thesis = PsiSpace::thesis();
         let names = [
@@ -156,8 +157,8 @@ mod tests {
         let nonidealities = PsiSpace::named(&names).unwrap();
         for corner in 0..256_u32 {
             let at_corner = |space: &PsiSpace| {
-                let ends = space.dimensions().iter().enumerate().map(|(i, dimension)| {
-                    if corner >> i & 1 == 1 { dimension.upper } else { dimension.lower }
+                let ends = space.dimensions().iter().enumerate().map(|(bit, dimension)| {
+                    if corner >> bit & 1 == 1 { dimension.upper } else { dimension.lower }
                 });
                 space.psi(&ends.collect::<Vec<_>>()).unwrap()
             };
@@ -181,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn one_moment_alone_leaves_the_other_and_what_psi_does_not_name_stays() {
+    fn psi_changes_no_moment_and_no_quantity_that_it_does_not_name() {
         let psi = PsiSpace::named(&["mean_delay", "std_M_p"]).unwrap().psi(&[0.01, 0.002]).unwrap();
         let base = DomainDistribution::robust();
         let shaped = base.clone().shaped_by(&psi, Family::Normal);

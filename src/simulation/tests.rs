@@ -64,14 +64,14 @@ fn farthest_from_plants(real_model: impl Fn(usize) -> QubeModel) -> f64 {
     let lanes = run(Level::best(), &trajectories, steps);
     let (mut worst, mut compared) = (0.0_f64, 0);
     for (lane, plant) in plants.iter_mut().enumerate() {
-        let mut furthest_rad: f64 = 0.0;
+        let mut farthest_rad: f64 = 0.0;
         for step in 0..steps {
             plant.set_voltage(f64::from(command_v(lane, step)));
             plant.advance_to((step as u64 + 1) * 10_000);
-            furthest_rad = furthest_rad.max(plant.state().theta.abs());
+            farthest_rad = farthest_rad.max(plant.state().theta.abs());
         }
         // Only the plant has stops; the trajectory of a lane ends at the box before them.
-        if furthest_rad > 2.3 {
+        if farthest_rad > 2.3 {
             continue;
         }
         compared += 1;
@@ -95,9 +95,8 @@ fn delay_dead_zone_and_cable_move_a_lane_as_they_move_the_plant() {
     assert!(worst < 3e-5, "{worst:e} rad");
 }
 
-/// Neither lanes nor plant resolve the steep part of friction where the arm reverses: compared with
-/// steps of 0.1 ms, the error is up to 7e-4 rad for lanes and 2e-3 rad for the plant, whose steps
-/// are longer.
+/// Lanes do not resolve the steep part of friction where the arm reverses: compared with steps of
+/// 0.1 ms, their error is up to 7e-4 rad. The emulated plant takes shorter steps with friction.
 #[test]
 fn friction_moves_a_lane_as_the_plant_within_two_counts() {
     let worst = farthest_from_plants(real_model);
@@ -153,7 +152,7 @@ fn a_delay_of_whole_periods_is_the_same_motion_later() {
 }
 
 #[test]
-fn a_distribution_draws_nonidealities_and_what_it_does_not_name_is_zero() {
+fn a_distribution_draws_the_nonideality_that_it_names_and_leaves_the_others_zero() {
     let uniform = Distribution::Uniform { mean: 0.008, standard_deviation: 0.0046 };
     let distribution =
         DomainDistribution::nominal().with(Nonideality::CommandDelay, uniform).unwrap();

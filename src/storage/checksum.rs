@@ -15,7 +15,7 @@ mod tests {
 
     /// The value is the check of the catalogue of CRCs for CRC-64/XZ.
     #[test]
-    fn the_digits_are_those_of_the_catalogue() {
+    fn the_checksum_has_the_check_value_of_the_catalogue() {
         assert_eq!(checksum_of(b"123456789"), "995dc9bbdf1939fa");
         assert_eq!(checksum_of(b""), "0000000000000000");
     }

@@ -22,8 +22,8 @@ impl Disk for MachineDisk {
             self.create_folder(parent)?;
         }
         match fs::create_dir(path) {
-            // Somebody else may have made the folder meanwhile; anything else of its name is in the
-            // way.
+            // Another process may have made the folder meanwhile; anything else of this name is in
+            // the way.
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists || !path.is_dir() => {
                 Err(error)
             }
@@ -107,9 +107,10 @@ impl Disk for MachineDisk {
     }
 }
 
-/// Renames a file whose new name must be free by a second (hard) link, which the file system
-/// refuses where the name exists. On a file system without such links this looks for the new name
-/// and then renames, so that a file which another process creates in between is lost.
+/// Renames a file by a second (hard) link, which the file system refuses if the new name exists. If
+/// the link fails for another reason, for example because the file system has no such links, checks
+/// that the new name is free and then renames; a file that another process creates in between is
+/// lost.
 fn rename_new_by_link(from: &Path, to: &Path) -> io::Result<()> {
     match fs::hard_link(from, to) {
         Ok(()) => {
@@ -202,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_somebody_has_prepared_leads_nowhere() {
+    fn writing_does_not_follow_a_link_that_somebody_has_prepared() {
         let directory = tempfile::tempdir().unwrap();
         let (foreign, path) = (directory.path().join("foreign"), directory.path().join("mine"));
         fs::write(&foreign, "precious").unwrap();

@@ -1,9 +1,9 @@
 //! The disk as an argument: everything that must survive a crash is written through a [`Disk`], so
 //! that a test can use a disk that fails, stalls, or loses power at a chosen operation.
 //!
-//! A file from an unknown source is read up to a limit only ([`read_bounded`]). Formats of files
-//! that use Protocol Buffers are written by [`ProtobufMessage`], and whole files are recognised by
-//! [`checksum_of`] their bytes. The room imports nothing.
+//! [`read_bounded`] reads a file from an unknown source and refuses one that is longer than a
+//! limit. [`ProtobufMessage`] writes the formats that use Protocol Buffers, and [`checksum_of`]
+//! computes the checksum by which a whole file is recognised. The room imports nothing.
 
 mod bounded;
 mod checksum;
@@ -33,7 +33,7 @@ pub enum Existing {
 }
 
 impl Existing {
-    /// Replaces the file where this is allowed, and refuses it otherwise.
+    /// Returns [`Self::Replace`] if the file may be replaced, and [`Self::Refuse`] otherwise.
     #[must_use]
     pub fn replaced_if(is_allowed: bool) -> Self {
         if is_allowed { Self::Replace } else { Self::Refuse }
@@ -92,10 +92,10 @@ pub trait Disk: Send + Sync + fmt::Debug {
         if bytes.len() as u64 > limit { Err(too_long(limit)) } else { Ok(bytes) }
     }
 
-    /// Whether a file or folder of this name exists; false also if the storage failed.
+    /// Returns whether a file or folder of this name exists; false also if the storage failed.
     fn exists(&self, path: &Path) -> bool;
 
-    /// Whether this name is a symbolic link; false on a disk without such links.
+    /// Returns whether this name is a symbolic link; false on a disk without such links.
     fn is_link(&self, _path: &Path) -> bool {
         false
     }
@@ -115,8 +115,8 @@ pub trait Disk: Send + Sync + fmt::Debug {
     /// Renames a file; an existing file, folder or link of the new name is an error of the kind
     /// [`io::ErrorKind::AlreadyExists`].
     ///
-    /// This implementation looks for the new name first and then renames, so that a file which
-    /// another process creates in between is lost. A disk that processes share needs one step.
+    /// This implementation checks that the new name is free and then renames; a file that another
+    /// process creates in between is lost. A disk that processes share should do both in one step.
     ///
     /// # Errors
     /// The operating system refuses.
@@ -147,7 +147,7 @@ pub trait Disk: Send + Sync + fmt::Debug {
 
     /// Locks a folder until the returned [`FolderLock`] is dropped. The lock keeps out only
     /// programs that take it, too; on a file system that several computers share, such as NFS, it
-    /// may keep out only those of this computer.
+    /// may keep out only the programs of this computer.
     ///
     /// # Errors
     /// The folder is already locked, by another process or by this one, or the operating system
@@ -219,10 +219,10 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// Whether a file exists. Unlike with [`Disk::exists`], a disk that fails is an error.
+/// Returns whether a file exists. Unlike with [`Disk::exists`], a disk that fails is an error.
 ///
 /// # Errors
-/// The storage failed, or the name is not that of a regular file.
+/// The storage failed, or this name belongs to something other than a regular file.
 pub fn file_exists(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
     match disk.read_beginning(path, 0) {
         Err(error) if is_absence(&error) => Ok(false),
@@ -230,7 +230,7 @@ pub fn file_exists(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
     }
 }
 
-/// Whether an operation failed because the file does not exist, or its folder does not.
+/// Returns whether an operation failed because the file or its folder does not exist.
 #[must_use]
 pub fn is_absence(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
@@ -246,18 +246,18 @@ pub struct WriteError {
     pub source: io::Error,
 }
 
-/// End of the names of files that are still being written.
+/// End of the names of unfinished files.
 const UNFINISHED: &str = ".unfinished";
 
-/// Largest number of names that are tried for a file that is still being written.
+/// Largest number of names that are tried for an unfinished file.
 const MAX_NAMES: u32 = 1000;
 
 /// Writes a file atomically: after a loss of power the file has all its new bytes, or is as it was
 /// before the call.
 ///
-/// The bytes are first written to a new file in the same folder, which is then renamed. The name of
-/// this file, such as `a.toml.4711-0.unfinished` for `a.toml`, belongs to this process alone, so
-/// that two programs may write into one folder, even the same file. A process that is killed leaves
+/// The bytes are first written to a new file in the same folder, and this file is then renamed. Its
+/// name, such as `a.toml.4711-0.unfinished` for `a.toml`, belongs to this process alone, so that
+/// two programs may write into one folder, even the same file. A process that is killed may leave
 /// such a file; [`is_unfinished`] recognises it.
 ///
 /// # Errors
@@ -291,40 +291,40 @@ pub fn write_new(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), Write
     })
 }
 
-/// Whether a name is that of a file which [`write_whole`] or [`write_new`] has not renamed, because
-/// it still writes the file or its process was killed.
+/// Returns whether a name ends as the name of a file that [`write_whole`] or [`write_new`] has not
+/// renamed, because the function is writing the file or its process was killed.
 #[must_use]
 pub fn is_unfinished(name: &OsStr) -> bool {
     name.as_encoded_bytes().ends_with(UNFINISHED.as_bytes())
 }
 
-/// Whether `path` has a name under which [`write_whole`] or [`write_new`] writes the file `of`, and
-/// is no link.
+/// Returns whether `path` has a name under which [`write_whole`] or [`write_new`] writes the file
+/// `target`, and is no link.
 #[must_use]
-pub fn is_unfinished_of(disk: &dyn Disk, path: &Path, of: &Path) -> bool {
-    let belongs = |name: &OsStr, of: &OsStr| {
-        let rest = name.as_encoded_bytes().strip_prefix(of.as_encoded_bytes())?;
+pub fn is_unfinished_of(disk: &dyn Disk, path: &Path, target: &Path) -> bool {
+    let belongs = |name: &OsStr, target: &OsStr| {
+        let rest = name.as_encoded_bytes().strip_prefix(target.as_encoded_bytes())?;
         let number = rest.strip_prefix(b".")?.strip_suffix(UNFINISHED.as_bytes())?;
         Some(number.iter().all(|byte| byte.is_ascii_digit() || *byte == b'-'))
     };
-    let names = path.file_name().zip(of.file_name());
-    let belongs = names.and_then(|(name, of)| belongs(name, of)) == Some(true);
-    belongs && folder_of(path) == folder_of(of) && !disk.is_link(path)
+    let names = path.file_name().zip(target.file_name());
+    let belongs = names.and_then(|(name, target)| belongs(name, target)) == Some(true);
+    belongs && folder_of(path) == folder_of(target) && !disk.is_link(path)
 }
 
-/// Removes the unfinished files that killed processes left when they wrote the file `of`; ignores
-/// errors. The caller makes sure that no other process is writing `of`.
-pub fn remove_unfinished(disk: &dyn Disk, of: &Path) {
-    let folder = folder_of(of);
+/// Removes the unfinished files that killed processes left when they wrote the file `target`;
+/// ignores errors. The caller makes sure that no other process is writing `target`.
+pub fn remove_unfinished(disk: &dyn Disk, target: &Path) {
+    let folder = folder_of(target);
     for name in disk.names(folder).unwrap_or_default() {
         let path = folder.join(name);
-        if is_unfinished_of(disk, &path, of) {
+        if is_unfinished_of(disk, &path, target) {
             let _ = disk.remove(&path);
         }
     }
 }
 
-/// Whether a file, a folder or a link has this name.
+/// Returns whether a file, a folder or a link has this name.
 fn is_taken(disk: &(impl Disk + ?Sized), path: &Path) -> bool {
     disk.exists(path) || disk.is_link(path)
 }
@@ -366,7 +366,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_whose_names_differ_in_their_ends_are_written_at_once() {
+    fn files_whose_names_differ_in_their_ends_are_written_at_the_same_time() {
         let directory = tempfile::tempdir().unwrap();
         std::thread::scope(|scope| {
             for name in ["c.html", "c.csv", "c.svg", "c"] {
@@ -392,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_cannot_be_looked_at_is_not_absent() {
+    fn a_file_that_cannot_be_read_does_not_count_as_absent() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("file");
         assert!(!file_exists(&MachineDisk, &path).unwrap());

@@ -1,7 +1,7 @@
 //! A writer of the wire format of Protocol Buffers.
 //!
-//! Before each value stands a tag: the number of the field, and in the lowest three bits the kind
-//! of the value (0 a varint, 1 eight bytes, 2 a length and as many bytes, 5 four bytes).
+//! A tag precedes each value: the number of the field, and in the lowest three bits the kind of the
+//! value (0 a varint, 1 eight bytes, 2 a length and as many bytes, 5 four bytes).
 
 /// A message that grows field by field. Each field is written, also one with its default value.
 #[derive(Clone, Debug, Default)]
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bytes_are_those_of_the_specification() {
+    fn bytes_equal_the_examples_of_the_specification() {
         let empty = ProtobufMessage::default;
         // The examples of "Encoding" in the documentation of Protocol Buffers.
         assert_eq!(empty().integer(1, 150).into_bytes(), [0x08, 0x96, 0x01]);

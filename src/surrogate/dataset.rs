@@ -89,7 +89,8 @@ impl Dataset {
         self.targets.len()
     }
 
-    /// Whether the data set is empty: always false, since [`Self::new`] refuses an empty one.
+    /// Returns whether the data set is empty: always false, since [`Self::new`] refuses an empty
+    /// one.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.targets.is_empty()
@@ -114,7 +115,7 @@ impl Dataset {
     }
 
     /// Standard deviation by which the values were divided, in their units; 1 if they have no
-    /// usable one.
+    /// usable standard deviation.
     #[must_use]
     pub fn scale(&self) -> f64 {
         self.scale
@@ -192,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn scales_inputs_and_outputs() {
+    fn inputs_and_outputs_are_scaled() {
         let points = vec![vec![0.0, 20.0], vec![1.0, 15.0], vec![2.0, 10.0]];
         let data =
             Dataset::new(&square(), &points, &[1.0, 3.0, 5.0], Some(&[4.0, 0.0, 1.0])).unwrap();
@@ -213,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_data_is_named() {
+    fn an_error_names_the_invalid_data() {
         let new = |points: &[Vec<f64>], values: &[f64], noise: Option<&[f64]>| {
             Dataset::new(&square(), points, values, noise).unwrap_err()
         };

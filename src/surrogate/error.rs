@@ -76,9 +76,9 @@ pub enum SurrogateError {
         dimension: usize,
         /// Value of the coordinate.
         value: f64,
-        /// The lower bound there.
+        /// Lower bound of the coordinate.
         lower: f64,
-        /// The upper bound there.
+        /// Upper bound of the coordinate.
         upper: f64,
     },
     /// An observed value is NaN or infinite.
@@ -88,7 +88,7 @@ pub enum SurrogateError {
     ValueNotFinite {
         /// Index of the point, from 0.
         index: usize,
-        /// The observed value.
+        /// Observed value.
         value: f64,
     },
     /// A noise variance is negative or not finite.
@@ -96,14 +96,14 @@ pub enum SurrogateError {
     BadNoise {
         /// Index of the point, from 0.
         index: usize,
-        /// The noise variance.
+        /// Noise variance, in squared units of the values.
         value: f64,
     },
     /// The hyperparameters have another dimension than the data, or one of them is out of its
     /// range.
     #[error("bad hyperparameters: {reason}")]
     BadHyperparameters {
-        /// Reason why they are refused.
+        /// Reason for the refusal.
         reason: String,
     },
     /// The covariance matrix cannot be factored even with jitter.

@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn gradient_is_that_of_finite_differences() {
+    fn the_gradient_equals_finite_differences() {
         for (n, kernel, own_noise) in [
             (12, Kernel::Matern52, false),
             (12, Kernel::SquaredExponential, true),
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_mean_has_no_slope_left() {
+    fn the_likelihood_has_no_slope_at_the_best_mean() {
         let data = data(15, 2, true);
         let at = Hyperparameters {
             mean: 0.0,
@@ -263,8 +263,8 @@ mod tests {
         };
         let (evidence, mean) = profiled_over_mean(&data, Kernel::Matern52, &at).unwrap();
         assert!(evidence.d_mean.abs() < 1e-10);
-        let there =
+        let at_mean =
             log_marginal_likelihood(&data, Kernel::Matern52, &Hyperparameters { mean, ..at });
-        assert!((there.unwrap().value - evidence.value).abs() < 1e-12);
+        assert!((at_mean.unwrap().value - evidence.value).abs() < 1e-12);
     }
 }

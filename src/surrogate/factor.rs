@@ -19,7 +19,7 @@ pub(super) struct Factor {
 
 /// Size up to which a block is eliminated column by column.
 const LEAF: usize = 32;
-/// Number of rows of the inverse that are multiplied at once.
+/// Number of rows of `K^-1` that one matrix product computes.
 const BLOCK: usize = 64;
 /// Jitters that are tried in this order until the factorisation succeeds, as fractions of the
 /// `scale` that [`Factor::new`] is given.
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn agrees_with_a_general_solver() {
+    fn the_factorisation_agrees_with_a_general_solver() {
         for n in [1, 2, 25, 32, 33, 100, 257] {
             let k = matrix(n);
             let factor = Factor::new(&k, 1.0).unwrap();
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn a_singular_matrix_gets_jitter_and_a_hopeless_one_fails() {
+    fn a_singular_matrix_gets_jitter_and_an_indefinite_one_fails() {
         let factor = Factor::new(&DMatrix::from_element(40, 40, 1.0), 1.0).unwrap();
         assert!(factor.jitter() > 0.0 && factor.jitter() <= 1e-6);
         let mut indefinite = DMatrix::identity(40, 40);

@@ -72,9 +72,9 @@ pub fn fit(data: &Dataset, settings: &FitSettings) -> Result<Fit, SurrogateError
     let fine = Tolerances { gradient: 1e-6, decrease: 1e-12, iterations: 200 };
 
     let thinned = (data.len() > WHOLE).then(|| data.thinned(WHOLE));
-    let arena = thinned.as_ref().unwrap_or(data);
+    let compared = thinned.as_ref().unwrap_or(data);
     let mut minima: Vec<Minimum> =
-        starts.iter().map(|start| search.minimise(arena, start, coarse)).collect();
+        starts.iter().map(|start| search.minimise(compared, start, coarse)).collect();
     // The earlier start wins a tie, so that rounding affects the result as little as possible.
     minima.sort_by(|a, b| a.value.total_cmp(&b.value));
     let winner = &minima[0];
@@ -97,7 +97,7 @@ struct Search {
 }
 
 /// Ranges of the variances of noise and signal, for standardised outputs. The lower bound of the
-/// noise is that of BoTorch; the other three bounds only keep the arithmetic finite.
+/// noise is BoTorch's; the other three bounds only keep the arithmetic finite.
 const NOISE_RANGE: (f64, f64) = (PriorSet::LEAST_NOISE_VARIANCE, 1e3);
 const SIGNAL_RANGE: (f64, f64) = (1e-4, 1e4);
 
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn finds_which_coordinate_matters() {
+    fn an_unimportant_coordinate_gets_a_longer_lengthscale() {
         for priors in [PriorSet::Gamma, PriorSet::Lognormal] {
             let found = fit(&wave(40), &FitSettings { priors, ..FitSettings::default() }).unwrap();
             let lengths = &found.hyperparameters.lengthscales;
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn gradient_of_the_whole_objective_is_that_of_finite_differences() {
+    fn the_gradient_of_the_whole_objective_equals_finite_differences() {
         let data = wave(12);
         for priors in [PriorSet::Gamma, PriorSet::Lognormal] {
             for mean in [MeanFunction::Zero, MeanFunction::Constant] {

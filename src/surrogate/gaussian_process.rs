@@ -102,8 +102,8 @@ impl GaussianProcess {
     /// stay. Costs O(n^3).
     ///
     /// # Errors
-    /// The point lies outside the box, the value is not finite, or the covariance cannot be
-    /// factored.
+    /// The point has another dimension than the box or lies outside it, the value is not finite, or
+    /// the covariance cannot be factored.
     pub fn conditioned_on_fantasy(
         &self,
         point: &[f64],
@@ -295,18 +295,18 @@ mod tests {
     }
 
     #[test]
-    fn passes_near_the_data_and_is_unsure_elsewhere() {
+    fn the_posterior_passes_near_the_data_and_is_less_certain_elsewhere() {
         let process = process();
-        let there = process
+        let at_data = process
             .posterior(&process.data().search_box().from_unit(&process.data().unit_point(4)));
-        assert!((there.mean - process.data().value(4)).abs() < 10.0);
+        assert!((at_data.mean - process.data().value(4)).abs() < 10.0);
         let away = process.posterior(&[1.0, 10.0]);
-        assert!(away.variance > 2.0 * there.variance);
+        assert!(away.variance > 2.0 * at_data.variance);
         assert_eq!(process.mean(&[0.3, 17.0]), process.posterior(&[0.3, 17.0]).mean);
     }
 
     #[test]
-    fn slopes_are_those_of_finite_differences() {
+    fn the_slopes_equal_finite_differences() {
         let process = process();
         for point in [vec![0.3, 17.0], vec![-0.8, 11.0]] {
             let slope = process.posterior_slope(&point);
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fantasy_of_the_mean_keeps_the_mean_and_takes_the_doubt() {
+    fn a_fantasy_of_the_mean_keeps_the_mean_and_lowers_the_variance() {
         let process = process();
         let point = [0.9, 12.0];
         let before = process.posterior(&point);
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn duplicates_a_single_point_and_equal_outputs_are_all_right() {
+    fn a_process_can_be_fitted_to_duplicates_to_a_single_point_and_to_equal_outputs() {
         let search_box = SearchBox::unit(2).unwrap();
         for (points, values) in [
             (vec![vec![0.5, 0.5]], vec![3.0]),
@@ -355,14 +355,14 @@ mod tests {
             let mean = values.iter().sum::<f64>() / values.len() as f64;
             let data = Dataset::new(&search_box, &points, &values, None).unwrap();
             let process = GaussianProcess::fit(data, &FitSettings::default()).unwrap();
-            let there = process.posterior(&points[0]);
-            assert!((there.mean - mean).abs() < 1e-6, "{}", there.mean);
-            assert!(there.variance > 0.0 && there.variance.is_finite());
+            let at_data = process.posterior(&points[0]);
+            assert!((at_data.mean - mean).abs() < 1e-6, "{}", at_data.mean);
+            assert!(at_data.variance > 0.0 && at_data.variance.is_finite());
         }
     }
 
     #[test]
-    fn twins_without_noise_get_jitter() {
+    fn equal_points_without_noise_get_jitter() {
         let search_box = SearchBox::unit(1).unwrap();
         let data = Dataset::new(&search_box, &vec![vec![0.5]; 3], &[1.0, 1.0, 2.0], None).unwrap();
         let noiseless = Hyperparameters {

@@ -17,7 +17,8 @@ pub struct Hyperparameters {
 }
 
 impl Hyperparameters {
-    /// Checks that there are `dimensions` positive lengthscales and that the variances are valid.
+    /// Checks that there are `dimensions` positive lengthscales and that variances and mean are
+    /// valid.
     ///
     /// # Errors
     /// A value is invalid; the error names the first one.
@@ -68,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn impossible_numbers_are_named() {
+    fn invalid_hyperparameters_are_refused() {
         let good = Hyperparameters {
             mean: 0.0,
             lengthscales: vec![0.5, 0.5],

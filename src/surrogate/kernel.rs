@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slope_is_the_derivative() {
+    fn the_slope_equals_finite_differences() {
         for kernel in [Kernel::Matern52, Kernel::SquaredExponential] {
             assert_eq!(kernel.correlation_and_slope(0.0).0, 1.0);
             for squared in [0.01, 0.3, 2.0, 9.0] {

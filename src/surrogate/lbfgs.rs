@@ -2,10 +2,9 @@
 /// step lowers the value enough.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tolerances {
-    /// Size that no entry of the gradient exceeds, apart from coordinates held at a bound.
+    /// Largest size of an entry of the gradient, apart from coordinates held at a bound.
     pub gradient: f64,
-    /// Decrease of the value, relative to `1 + |value|`, that two iterations in a row do not
-    /// exceed.
+    /// Largest decrease of the value in each of two iterations in a row, relative to `1 + |value|`.
     pub decrease: f64,
     /// Largest number of iterations.
     pub iterations: usize,
@@ -72,16 +71,16 @@ pub(super) fn minimise(
             let trial: Vec<f64> = (0..dimensions)
                 .map(|i| (point[i] + step * direction[i]).clamp(lower[i], upper[i]))
                 .collect();
-            let promised: f64 = (0..dimensions).map(|i| gradient[i] * (trial[i] - point[i])).sum();
+            let predicted: f64 = (0..dimensions).map(|i| gradient[i] * (trial[i] - point[i])).sum();
             let trial_value = function(&trial, &mut trial_gradient);
-            if trial_value.is_finite() && trial_value <= value + SUFFICIENT * promised.min(0.0) {
+            if trial_value.is_finite() && trial_value <= value + SUFFICIENT * predicted.min(0.0) {
                 accepted = Some((trial, trial_value));
                 break;
             }
             // The next step goes to the minimum of the parabola through both values and the slope,
             // held within 0.1 to 0.5 of this step.
-            let curvature = trial_value - value - promised;
-            let shrink = if curvature > 0.0 { -0.5 * promised / curvature } else { 0.5 };
+            let curvature = trial_value - value - predicted;
+            let shrink = if curvature > 0.0 { -0.5 * predicted / curvature } else { 0.5 };
             step *= if shrink.is_finite() { shrink.clamp(0.1, 0.5) } else { 0.1 };
         }
         let Some((trial, trial_value)) = accepted else {
@@ -192,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn finds_the_bottom_of_the_valley() {
+    fn the_minimum_of_a_curved_valley_is_found() {
         let minimum = minimise(rosenbrock, &[-1.2, 1.0], &[-5.0; 2], &[5.0; 2], TIGHT);
         assert!(minimum.value < 1e-14, "{minimum:?}");
         let minimum = minimise(rosenbrock, &[3.0; 6], &[-5.0; 6], &[5.0; 6], TIGHT);
@@ -201,15 +200,15 @@ mod tests {
     }
 
     #[test]
-    fn stops_at_the_bounds() {
-        // With x <= 0.5 everywhere the gradient must push outwards at the bound.
+    fn the_minimum_may_lie_at_a_bound() {
+        // At the bound x[0] = 0.5 the descent direction points out of the box.
         let minimum = minimise(rosenbrock, &[-1.2, 0.4], &[-2.0; 2], &[0.5, 2.0], TIGHT);
         assert_eq!(minimum.point[0], 0.5);
         assert!((minimum.point[1] - 0.25).abs() < 1e-8);
     }
 
     #[test]
-    fn steps_back_from_where_the_function_ends() {
+    fn a_step_to_a_value_that_is_not_finite_is_shortened() {
         let function = |x: &[f64], gradient: &mut [f64]| {
             gradient[0] = 1.0 - 1.0 / x[0];
             if x[0] > 0.0 { x[0] - x[0].ln() } else { f64::NAN }

@@ -32,7 +32,7 @@ pub struct Maximum {
 
 /// Half widths, on the unit cube, of the clouds of random points around each hint.
 const CLOUDS: [f64; 3] = [0.2, 0.05, 0.01];
-/// Points in each cloud.
+/// Number of random points in each cloud.
 const CLOUD_POINTS: usize = 8;
 /// Distance on the unit cube by which two starts differ in at least one coordinate. Closer points
 /// become starts only if there are too few others.
@@ -40,8 +40,8 @@ const APART: f64 = 0.03;
 
 /// Maximises an acquisition function over the box.
 ///
-/// The function evaluates Owen-scrambled Sobol points, the `hints` and clouds of points around
-/// them, then follows the gradient from the best of these points by L-BFGS within the box. Hints
+/// It is evaluated at Owen-scrambled Sobol points, at the `hints` and at clouds of points around
+/// the hints; L-BFGS then follows its gradient within the box from the best of these points. Hints
 /// are points in the box's own units near which a maximum is likely, such as the best observed
 /// points. A value that is NaN counts as minus infinity.
 #[must_use]
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn finds_the_highest_hump_whatever_the_seed() {
+    fn the_highest_hump_is_found_with_every_seed() {
         let search_box = SearchBox::new(vec![0.0, 0.0], vec![1.0, 5.0]).unwrap();
         for seed in 0..20 {
             let settings = MaximiserSettings { raw: 64, starts: 4, seed };
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn reaches_a_corner_of_the_box_exactly() {
+    fn a_maximum_at_a_corner_of_the_box_is_found_exactly() {
         let search_box = SearchBox::new(vec![-3.0, 2.0], vec![-1.0, 9.0]).unwrap();
         let found =
             maximise(&Corner, &search_box, &[vec![-2.0, 3.0]], &MaximiserSettings::default());

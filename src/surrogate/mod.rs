@@ -18,9 +18,9 @@
 //! # Ok::<(), qube_hil::surrogate::SurrogateError>(())
 //! ```
 //!
-//! With n observations, one evaluation of the likelihood costs O(n^3) operations, one of a
-//! posterior O(n^2). Two calls with equal arguments give identical results on one machine; another
-//! processor may round the last bits of its matrix products differently.
+//! With n observations, one evaluation of the likelihood costs O(n^3) operations, and one
+//! evaluation of a posterior O(n^2). Two calls with equal arguments give identical results on one
+//! machine; another processor may round the last bits of its matrix products differently.
 
 mod acquisition;
 mod dataset;

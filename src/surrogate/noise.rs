@@ -44,9 +44,9 @@ mod tests {
     fn small_samples_are_drawn_towards_the_pool() {
         let groups: [&[f64]; 3] = [&[500.0; 5], &[50.0, 500.0, 50.0, 500.0, 50.0], &[480.0]];
         let noise = noise_of_means(&groups).unwrap();
-        assert!(noise[0] > 0.0, "five equal returns are no certainty");
+        assert!(noise[0] > 0.0, "five equal returns give no certainty");
         assert!(noise[1] > 1.3 * noise[0]);
-        assert!(noise[2] > noise[1], "one value knows less than five");
+        assert!(noise[2] > noise[1], "one value is less certain than five");
     }
 
     #[test]
@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn without_repetition_nothing_is_known() {
+    fn without_repetition_there_is_no_estimate() {
         assert_eq!(noise_of_means(&[&[1.0], &[2.0]]), None);
         assert_eq!(noise_of_means(&[]), None);
     }

@@ -58,9 +58,9 @@ pub(super) struct Tail {
     pub improvement: f64,
 }
 
-/// Computes the tail for z <= -1. The difference `1 - |z| mills` in `h` loses about `z^2` units in
-/// the last place. From |z| = 14 on, `h` comes from the asymptotic series (Abramowitz and Stegun
-/// 1964, 26.2.12), whose smallest term is far below rounding there.
+/// Computes the tail for z <= -1. The difference `1 - |z| mills` loses about `z^2` units in the
+/// last place. From |z| = 14 on, `improvement` therefore comes from the asymptotic series
+/// (Abramowitz and Stegun 1964, 26.2.12), whose smallest term is far below rounding there.
 pub(super) fn tail(z: f64) -> Tail {
     let distance = -z;
     let mills = (0.5 * PI).sqrt() * scaled_complementary_error(distance * FRAC_1_SQRT_2);

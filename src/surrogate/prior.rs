@@ -25,8 +25,8 @@ pub enum Prior {
 impl Prior {
     /// Log density at `value` > 0, and its derivative with respect to `ln value`.
     ///
-    /// The density is that of the value, not of its logarithm (there is no Jacobian term), so that
-    /// the posterior mode does not change because the optimiser works on logarithms.
+    /// It is the density of the value, not of its logarithm (there is no Jacobian term). An
+    /// optimiser that works on logarithms therefore finds the posterior mode of the value itself.
     #[must_use]
     pub fn log_density(self, value: f64) -> (f64, f64) {
         let log_value = value.ln();
@@ -43,7 +43,7 @@ impl Prior {
     }
 }
 
-/// A set of priors for inputs on the unit cube and standardised outputs: one of the two that
+/// A set of priors for inputs on the unit cube and standardised outputs: one of the two sets that
 /// BoTorch has used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -94,8 +94,8 @@ impl PriorSet {
     }
 
     /// The range in which lengthscales are fitted, on the unit cube. The lower bound of `lognormal`
-    /// is that of BoTorch, which has no other bounds; the other three only keep the arithmetic
-    /// finite.
+    /// is BoTorch's, and the only bound that BoTorch sets; the other three bounds only keep the
+    /// arithmetic finite.
     #[must_use]
     pub fn lengthscale_range(self) -> (f64, f64) {
         match self {

@@ -83,7 +83,7 @@ impl SearchBox {
     }
 
     /// The point in the box's own units that has these coordinates on the unit cube. Coordinates
-    /// beyond the cube, as by rounding, are put on the border of the box.
+    /// beyond the cube, for example through rounding, are put on the border of the box.
     #[must_use]
     pub fn from_unit(&self, unit: &[f64]) -> Vec<f64> {
         unit.iter()
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bad_bounds_are_named() {
+    fn an_error_names_the_invalid_bounds() {
         assert_eq!(SearchBox::new(vec![], vec![]), Err(SurrogateError::NoDimensions));
         assert_eq!(
             SearchBox::new(vec![0.0], vec![1.0, 2.0]),
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn points_survive_the_way_to_the_unit_cube_and_stay_inside() {
+    fn a_point_converts_to_the_unit_cube_and_back_and_stays_inside() {
         let search_box = SearchBox::new(vec![0.019, -3.0], vec![0.029, 7.0]).unwrap();
         let point = search_box.from_unit(&[0.25, 1.0]);
         assert_eq!(point[1], 7.0);

@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 pub struct DeviceFacts(BTreeMap<String, String>);
 
 impl DeviceFacts {
-    /// Name of the device's kind.
+    /// Name of the fact that states the device's kind.
     pub const KIND: &'static str = "kind";
-    /// Name of the board's serial number.
+    /// Name of the fact that states the board's serial number.
     pub const SERIAL: &'static str = "serial";
-    /// Name of the port.
+    /// Name of the fact that states the port at which the device answered.
     pub const PORT: &'static str = "port";
 
     /// Kind of the device.

@@ -3,7 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The program's reaction to a fault. The motor is off, except perhaps after a lost link.
+/// The program's reaction to a fault. The motor is off, except perhaps after a lost link or where
+/// the device has not confirmed that it is off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Consequence {
@@ -49,15 +50,15 @@ impl Consequence {
 pub enum MotorState {
     /// The device has confirmed that its motor is off.
     Off,
-    /// The device has not confirmed it; the motor may have its last voltage.
+    /// The device has not confirmed that its motor is off; the motor may have its last voltage.
     Unconfirmed,
 }
 
 /// Generates the enum, its causes and the table from rows in the order of the table.
 macro_rules! faults {
     ($($(#[$attribute:meta])* $fault:ident: $consequence:ident, $cause:literal, $operator:literal;)+) => {
-        /// A fault by its name. Each is latched: the program switches the motor off, and it stays
-        /// off.
+        /// A fault by its name. Each fault is latched: the program switches the motor off, and the
+        /// motor stays off.
         #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(rename_all = "snake_case")]
         pub enum Fault {
@@ -117,7 +118,7 @@ faults! {
         "the emergency-stop switch was opened",
         "Make sure that nobody is near the arm, then close the switch. If nobody has opened it, check its wires.";
     QubeOff: Examine,
-        "the Qube no longer answers its board (switched off, or its supply gone?)",
+        "the Qube does not answer its board (switched off, or its supply gone?)",
         "Make sure that nobody is near the arm, then switch the Qube on. If nobody has switched it off, check its supply and its wires to the board.";
     DeviceClock: TryAgain,
         "the device's clock disagrees with the computer's, or the same sample came twice",
@@ -144,7 +145,7 @@ faults! {
         "the motor's load has reached 90 % of its continuous rating",
         "Let the motor cool down for ten minutes; use a policy that pushes less.";
     NotANumber: End,
-        "the policy asked for a voltage that is not a number",
+        "the policy requested a voltage that is not a number",
         "Use another policy: this one is invalid.";
     EncoderJump: Examine,
         "the arm's encoder jumped: in 10 ms by more than 200 counts, or by 40 more than just before and after (a hard hit?)",
@@ -201,7 +202,7 @@ faults! {
         "the arm's count does not change although the motor pushes (is the arm held, or its encoder's cable loose?)",
         "Free the arm; check whether cables have wound around it, and check its encoder.";
     TravelWrong: Examine,
-        "the stops are not as far apart as those of a Qube (is something in the arm's way, or does its encoder have another number of lines?)",
+        "the stops are not as far apart as a Qube's (is something in the arm's way, or does its encoder have another number of lines?)",
         "Clear the arm's way from stop to stop, and check the arm's encoder; if this rig's stops are where they should be, accept their travel with travel_rad under [homing] in qube.toml.";
     TravelBlocked: Examine,
         "the homing of an earlier version found stops that are not as far apart as a Qube's (is something in the arm's way?)",
@@ -238,18 +239,18 @@ impl Fault {
         name
     }
 
-    /// Whether the rollout may be repeated on the same link, because nothing points to a defect of
-    /// the Qube: samples or commands came too late, the clocks disagreed, the device was disarmed,
-    /// or a count moved while the motor was off.
+    /// Returns whether the rollout may be repeated on the same link, because nothing points to a
+    /// defect of the Qube: samples or commands came too late, the clocks disagreed, a sample came
+    /// twice, the device was disarmed, or a count moved while the motor was off.
     #[must_use]
     pub fn may_be_repeated(self) -> bool {
         self.consequence() == Consequence::TryAgain
     }
 
-    /// Whether the arm is damped by its count's velocity before the motor goes off, because the
-    /// count may be right although a test doubts it
+    /// Returns whether the arm is damped by its count's velocity before the motor goes off, because
+    /// the count may be right although a test has failed
     /// ([`TickRules::Damped`](super::TickRules::Damped)). [`EncoderDrifts`](Self::EncoderDrifts) is
-    /// not among these faults: the count's velocity is wrong there.
+    /// not among these faults, because the count's velocity is then wrong.
     #[must_use]
     pub fn doubts_count(self) -> bool {
         matches!(
@@ -258,7 +259,7 @@ impl Fault {
         )
     }
 
-    /// Whether the fault leaves a sensor or the motor in doubt.
+    /// Returns whether the fault leaves a sensor or the motor in doubt.
     #[must_use]
     pub fn leaves_doubt(self) -> bool {
         self.consequence() == Consequence::Examine
@@ -274,8 +275,8 @@ pub fn fault_table() -> String {
     );
     for fault in Fault::ALL {
         let (name, step) = (fault.name(), fault.operator_step());
-        let by_itself = fault.consequence().sentence();
-        text.push_str(&format!("| `{name}` | {fault} | {step} | {by_itself} |\n"));
+        let reaction = fault.consequence().sentence();
+        text.push_str(&format!("| `{name}` | {fault} | {step} | {reaction} |\n"));
     }
     text
 }

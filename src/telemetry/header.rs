@@ -22,9 +22,9 @@ pub struct TickSettings {
     pub max_steps: u32,
     /// Start angle of the arm, rad.
     pub start_theta_rad: f64,
-    /// Positions of the arm's stops: those that homing touched or, after homing by hand, those that
-    /// offset and accepted travel imply; without them guard and brake assume the plant's own. The
-    /// guard keeps away from the nearer one.
+    /// Positions of the arm's stops: the stops that homing touched or, after homing by hand, the
+    /// stops that offset and accepted travel imply. If this is `None`, guard and brake assume the
+    /// plant's own stops. The guard keeps away from the nearer stop.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stops: Option<MeasuredStops>,
     /// Model and settings of foresight, if foresight is the guard; without this entry, the plant's
@@ -41,12 +41,13 @@ pub struct TickSettings {
 }
 
 /// The versions of the tick's rules for settling, watching and braking, from the oldest to the
-/// newest. Each version has the rules of the one before it and adds its own. A recording names its
-/// version, so that its replay follows the same rules.
+/// newest. Each version has the rules of the version before it, with the additions and changes that
+/// its entry names. A recording names its version, so that its replay follows the same rules.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TickRules {
-    /// None of the additions below; recordings that name no rules follow this version.
+    /// The rules without the additions of the later versions; recordings that name no rules follow
+    /// this version.
     #[default]
     First,
     /// Checks the two encoders against each other, settles gently, and lets a braked arm come to
@@ -67,17 +68,17 @@ pub enum TickRules {
     /// Reports a fault of the arm before an overheated motor or a late computer in the same tick,
     /// and gives an arm that comes into doubt while it is braked no more time to stop.
     FaultsFirst,
-    /// Allows in the tests for a frozen encoder, a held arm and a dead motor for a voltage that
-    /// alternates between two samples, and for the pendulum's load while the count was constant;
-    /// reduces the gain of settling after 4 s.
+    /// Takes into account, in the tests for a frozen encoder, a held arm and a dead motor, a
+    /// voltage that alternates between two samples, and the pendulum's load while the count was
+    /// constant; reduces the gain of settling after 4 s.
     AlternatingAllowed,
     /// Reduces the gains of settling that oscillates, to a fifth at the least, and lets the trim of
     /// settling grow more slowly where the gains have fallen.
     SettlingGainReducing,
     /// Lets encoders with fewer counts than a Qube's flicker by one count at rest.
     RestByEncoders,
-    /// Computes the motor's heat from the speed that the guard sees, and not from the one that the
-    /// policy sees.
+    /// Computes the motor's heat from the speed that the guard sees, and not from the speed that
+    /// the policy sees.
     HeatByGuardedSpeed,
     /// Adds the faults of an arm's count that drifts away from the tachometer, and of a jump of the
     /// pendulum's count for which the guard has begun to brake.
@@ -106,7 +107,7 @@ pub struct RolloutHeader {
     /// Number of the candidate in its session, or of the policy in its experiment, from 0; `None`
     /// for a rollout that belongs to neither.
     pub candidate: Option<u32>,
-    /// Number of the rollout among those of its candidate, policy or run, from 0.
+    /// Number of the rollout among the rollouts of its candidate, policy or run, from 0.
     pub rollout: u32,
     /// Number of the attempt, from 0. Each repetition after a void rollout adds 1.
     pub attempt: u32,
@@ -128,7 +129,7 @@ pub struct RolloutHeader {
     /// Motor heat at the start; `None` in recordings that lack it, whose replay ignores the heat.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motor_heat: Option<MotorHeat>,
-    /// Whether a real Qube ran under the box alone, without foresight. The operator then accepted
+    /// True if a real Qube ran under the box alone, without foresight. The operator then accepted
     /// on the command line that the arm may reach its hard stop.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub hard_stop_accepted: bool,
@@ -148,8 +149,8 @@ impl RolloutHeader {
     }
 }
 
-/// The ending of a rollout. Rollouts that end with `Completed` or `LeftBox` have a result; the
-/// others are stopped or void.
+/// The ending of a rollout. Rollouts that end with `Completed` or `LeftBox` have a result, unless
+/// their recording lacks ticks; the others are stopped or void.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind", content = "detail")]
 pub enum Ending {
@@ -187,7 +188,7 @@ pub struct RolloutOutcome {
     /// Number of skipped periods, plus ticks that were more than a period late or had no valid
     /// sample.
     pub missed_deadlines: u32,
-    /// Number of records for which the recorder had no room; above 0, the file has gaps.
+    /// Number of records for which the recorder had no room; above 0, the file lacks ticks.
     pub records_lost: u64,
     /// Number of times that the observer diverged and was reset from encoders and filter: its model
     /// does not match the Qube, or something hit the Qube.
@@ -204,8 +205,8 @@ pub struct RolloutOutcome {
     /// Largest load of the motor, 1 at its continuous rating; `None` in recordings that lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_motor_load: Option<f64>,
-    /// Last voltage that an external controller asked for, V, which the guard may have refused; the
-    /// ticks contain the earlier ones. `None` for every other policy.
+    /// Last voltage that an external controller requested, V, which the guard may have refused; the
+    /// ticks contain the earlier requests. `None` for every other policy.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last_answer_v: Option<f64>,
     /// Lateness of wake-ups, microseconds.

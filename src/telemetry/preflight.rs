@@ -91,7 +91,7 @@ impl CheckResult {
         }
     }
 
-    /// The same result with help with its remedy.
+    /// Adds help with the remedy to the result.
     #[must_use]
     pub fn with_hint(self, hint: Option<Hint>) -> Self {
         Self { hint, ..self }
@@ -108,7 +108,7 @@ impl CheckResult {
         }
     }
 
-    /// Whether the check failed.
+    /// Returns whether the check failed.
     #[must_use]
     pub fn failed(&self) -> bool {
         self.verdict == CheckVerdict::Fail

@@ -65,7 +65,7 @@ pub struct TickRecord {
     /// Number of whole periods that were skipped before this tick because the previous tick ran
     /// late.
     pub skipped_periods: u32,
-    /// Whether a stop had been requested when the tick had read its sample.
+    /// True if a stop had been requested by the time at which the tick had read its sample.
     pub stop_requested: bool,
     /// Sample of the encoders; `None` if no valid sample came in time, so that the last voltage was
     /// held.
@@ -73,9 +73,9 @@ pub struct TickRecord {
     /// Estimated state that the policy sees, recorded in all phases, rad and rad/s. Guard, settling
     /// and braking use a filter of their own, whose states can be computed from the samples.
     pub state: State,
-    /// Voltage that policy, settling or brake asked for in this tick, before any limit, V. Where
-    /// the guard lets the brake take over, it is the brake's voltage. `None` if the last voltage
-    /// was held or the amplifier goes off.
+    /// Voltage that policy, settling or brake requested in this tick, before any limit, V. If the
+    /// guard lets the brake take over, it is the brake's voltage. `None` if the last voltage was
+    /// held or the amplifier goes off.
     pub wanted_v: Option<f64>,
     /// Voltage that was sent, or held if there was no sample, mV; 0 if the amplifier goes off. It
     /// has the sign of the convention: positive turns the arm towards positive theta.
@@ -107,13 +107,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_skipped_and_blind_ticks_are_missed_deadlines() {
+    fn late_and_skipped_ticks_and_ticks_without_a_sample_are_missed_deadlines() {
         let sampled = TickRecord { measurement: Some(Default::default()), ..TickRecord::default() };
         assert_eq!(sampled.missed_deadlines(), 0);
         let late = TickRecord { lateness_ns: CONTROL_PERIOD_NS + 1, ..sampled };
         assert_eq!(late.missed_deadlines(), 1);
-        let late_and_blind = TickRecord { measurement: None, ..late };
-        assert_eq!(late_and_blind.missed_deadlines(), 1);
+        let late_without_sample = TickRecord { measurement: None, ..late };
+        assert_eq!(late_without_sample.missed_deadlines(), 1);
         let after_skipped = TickRecord { skipped_periods: 2, ..late };
         assert_eq!(after_skipped.missed_deadlines(), 3);
     }

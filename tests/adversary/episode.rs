@@ -26,7 +26,7 @@ pub struct Domain {
     pub spread: f64,
     /// Longest time from a sample to its act, s.
     pub longest_delay_s: f64,
-    /// Whether there are friction and a cable.
+    /// True if the arm has friction and a cable.
     pub rough: bool,
     /// Corner of the estimator's filter, rad/s.
     pub corner_rad_s: f64,
@@ -58,8 +58,8 @@ pub struct Episode {
     pub last_tick: u32,
 }
 
-/// Largest angle at which the cable begins to pull, rad. A cable that pulls a resting arm into its
-/// stop while the amplifier is off is beyond any controller.
+/// Largest angle at which the cable begins to pull, rad. No controller can hold an arm that a cable
+/// pulls into its stop while the amplifier is off.
 const CABLE_REACH_RAD: f64 = 0.3;
 
 /// Number of steps of the policy.
@@ -99,7 +99,7 @@ impl Controller for Adversary {
         } else {
             -genes[23]
         };
-        // More than is allowed, so that the limit on the voltage acts.
+        // The voltage is larger than allowed, so that the limit on the voltage acts.
         if direction > 0.0 { 8.0 } else { -8.0 }
     }
 }

@@ -1,4 +1,4 @@
-//! The adversary's Qube: the shared physics with the nonidealities of a real one.
+//! The adversary's Qube: the shared physics with the nonidealities of a real Qube.
 
 use qube_hil::qube::{DomainParameter, DomainParameters, Dynamics, State, counts, runge_kutta_4};
 
@@ -10,7 +10,8 @@ const STEP_S: f64 = 0.005;
 pub struct Roughness {
     /// Coulomb friction of the arm, V.
     pub coulomb_v: f64,
-    /// Stiffness of the encoder's cable, V/rad, on one side of `cable_theta`; its sign says which.
+    /// Stiffness of the encoder's cable, V/rad, on one side of `cable_theta`; its sign gives the
+    /// side.
     pub cable_v_rad: f64,
     /// Angle at which the cable begins to pull, rad.
     pub cable_theta: f64,
@@ -31,7 +32,8 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// A Qube at rest, each parameter scaled by its entry of `factors`.
+    /// A Qube at rest at the arm's angle `theta`, rad, each parameter scaled by its entry of
+    /// `factors`.
     pub fn new(factors: &[f64; 9], roughness: Roughness, theta: f64) -> Self {
         let mut parameters = DomainParameters::NOMINAL;
         for (parameter, factor) in DomainParameter::ALL.into_iter().zip(factors) {

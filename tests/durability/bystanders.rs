@@ -161,7 +161,7 @@ fn a_disk_that_stalls_for_five_seconds_costs_no_tick() {
         }
     });
     rollout(&rig, &disk).unwrap();
-    assert!(has_stalled.load(Ordering::SeqCst), "it never stalled");
+    assert!(has_stalled.load(Ordering::SeqCst), "the disk never stalled");
     assert!(!armed_then.load(Ordering::SeqCst), "the tick waited for the disk");
     let verdict = score(&disk, Path::new(PATH)).unwrap();
     assert!(matches!(verdict, Verdict::Result { .. }), "{verdict:?}");
@@ -231,7 +231,7 @@ fn an_orchestrator_that_hangs_anywhere_finds_the_amplifier_off() {
     assert!(looked > 5);
 }
 
-/// A device at which the control thread panics once `samples_left` samples were read.
+/// A device in which the control thread panics once it has read `samples_left` samples.
 struct Panicking {
     link: SerialLink<WatchedWire>,
     samples_left: u32,
@@ -298,6 +298,9 @@ fn a_control_thread_that_panics_switches_the_amplifier_off_and_is_named() {
         // The link disarms the device when the panic drops it, in the tick after the last act. The
         // device's own watchdog would take 50 ms.
         let later_us = wire.must_end_safe().expect("the amplifier was on");
-        assert!(later_us <= 2 * CONTROL_PERIOD_NS / 1000, "off only after {later_us} us");
+        assert!(
+            later_us <= 2 * CONTROL_PERIOD_NS / 1000,
+            "the amplifier went off only after {later_us} us"
+        );
     }
 }

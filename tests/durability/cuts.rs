@@ -1,5 +1,5 @@
 //! Tests ledgers and recordings cut off at every byte, and disks that fail at every operation: the
-//! session still ends with the same ledger.
+//! session ends with the same ledger each time.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -38,10 +38,14 @@ fn each_of(count: u64, stride: u64, action: impl Fn(u64) + Sync) {
 /// Resumes without faults and compares the ledger with the undisturbed one. Returns the number of
 /// rigs that were opened. In virtual time each rollout opens one, so this is the number of rollouts
 /// that were made.
-fn resumes_to_the_same_ledger(world: &Undisturbed, disk: &SimulatedDisk, what: &str) -> usize {
+fn resumes_to_the_same_ledger(
+    world: &Undisturbed,
+    disk: &SimulatedDisk,
+    description: &str,
+) -> usize {
     let life = live(&world.settings, disk, Wiring::default(), Arc::default());
-    life.result.unwrap_or_else(|error| panic!("{what}: {error}"));
-    assert!(disk.bytes(&ledger_path()).unwrap() == world.ledger, "{what}: another ledger");
+    life.result.unwrap_or_else(|error| panic!("{description}: {error}"));
+    assert!(disk.bytes(&ledger_path()).unwrap() == world.ledger, "{description}: another ledger");
     life.wire_operations.len()
 }
 
@@ -209,7 +213,13 @@ fn a_disk_that_fails_at_any_operation_ends_the_session_with_a_sentence_and_keeps
     println!("{operations} operations on the disk, {} kinds of fault", FAULTS.len());
 }
 
-fn one_fault(world: &Undisturbed, disk: &SimulatedDisk, fault: DiskFault, what: &str, seed: u64) {
+fn one_fault(
+    world: &Undisturbed,
+    disk: &SimulatedDisk,
+    fault: DiskFault,
+    description: &str,
+    seed: u64,
+) {
     let wiring = Wiring::new(Vec::new(), None, disk.crashed());
     let life = live(&world.settings, disk, wiring, Arc::new(AtomicBool::new(false)));
     if let Err(error) = &life.result {
@@ -221,19 +231,19 @@ fn one_fault(world: &Undisturbed, disk: &SimulatedDisk, fault: DiskFault, what: 
             }
             _ => sentence.contains("/session"),
         };
-        assert!(named, "{what}: {sentence}");
+        assert!(named, "{description}: {sentence}");
     }
     for stopped in [Stopped::Killed, Stopped::PowerLost(seed)] {
         let after = disk.restarted(stopped);
         let found = parse_ledger(&after.bytes(&ledger_path()).unwrap_or_default())
-            .unwrap_or_else(|damage| panic!("{what}, {stopped:?}: {damage:?}"));
+            .unwrap_or_else(|damage| panic!("{description}, {stopped:?}: {damage:?}"));
         let is_kept = found.entries.starts_with(&life.entries);
-        assert!(is_kept, "{what}, {stopped:?}: a synced entry is lost");
+        assert!(is_kept, "{description}, {stopped:?}: a synced entry is lost");
         // Without this file the session has not begun, and there is nothing to resume.
         if after.exists(&root().join("session.toml")) {
-            resumes_to_the_same_ledger(world, &after, what);
+            resumes_to_the_same_ledger(world, &after, description);
         } else {
-            assert!(life.entries.is_empty(), "{what}, {stopped:?}: the settings are lost");
+            assert!(life.entries.is_empty(), "{description}, {stopped:?}: the settings are lost");
         }
     }
 }

@@ -18,7 +18,7 @@ pub enum Kind {
     Garble,
     /// The operation's bytes come twice.
     Duplicate,
-    /// The operation's bytes come after those of the next operation in the same direction.
+    /// The operation's bytes come after the bytes of the next operation in the same direction.
     Reorder,
     /// The second half of the operation's bytes is lost.
     Truncate,
@@ -28,14 +28,14 @@ pub enum Kind {
     InputOutputError,
     /// A read finds the end of the file, so that the port is gone; a write goes nowhere.
     EndOfFile,
-    /// A read gets nothing until its deadline; a write is told that the port is full.
+    /// A read gets nothing until its deadline; a write fails because the port is full.
     Hang,
     /// The port is gone; the device is back under another name.
     Rename,
 }
 
-/// All failures, with two delays that a healthy link may have and one that is longer than the
-/// device's watchdog.
+/// All failures, with two delays that a healthy link may have and one delay that is longer than the
+/// time of the device's watchdog.
 pub const KINDS: [Kind; 13] = [
     Kind::Drop,
     Kind::Delay(13 * MS),
@@ -53,7 +53,8 @@ pub const KINDS: [Kind; 13] = [
 ];
 
 impl Kind {
-    /// Whether a healthy link shows this failure now and then: a single one must not end a motion.
+    /// Returns whether a healthy link has this failure from time to time: a single failure of this
+    /// kind must not end a motion.
     pub fn is_ordinary(self) -> bool {
         match self {
             Self::Drop
@@ -74,7 +75,7 @@ impl Kind {
 pub struct Plan {
     pub operation: u64,
     pub kind: Kind,
-    /// Whether all later operations fail too.
+    /// True if all later operations fail too.
     pub lasting: bool,
 }
 
@@ -87,7 +88,7 @@ struct Held {
 }
 
 impl Held {
-    /// Adds a piece; pieces keep their order, whatever their delays.
+    /// Adds a piece; pieces keep their order in spite of different delays.
     fn push(&mut self, arrival_ns: Nanoseconds, bytes: Vec<u8>) {
         let earliest_ns = self.pieces.back().map_or(0, |(arrival_ns, _)| *arrival_ns);
         self.pieces.push_back((arrival_ns.max(earliest_ns), bytes));

@@ -42,7 +42,7 @@ fn work(disk: &SimulatedDisk, host: &str) -> bool {
 }
 
 #[test]
-fn a_job_survives_whatever_happens_to_the_disk_of_its_first_worker() {
+fn a_job_survives_every_fault_of_the_disk_of_its_first_worker() {
     let job = job();
     let alone = LocalExecutor::on_cores(1)
         .train_one(&job, &AtomicBool::new(false), &mut |_| ())
@@ -71,7 +71,7 @@ fn a_job_survives_whatever_happens_to_the_disk_of_its_first_worker() {
             for stopped in [Stopped::Killed, Stopped::PowerLost(at)] {
                 let disk = disk.restarted(stopped);
                 // A loss of power may take back a claim or a result whose folder is not synced, but
-                // a result that is there is whole.
+                // an existing result is whole.
                 let reopened = JobFolder::open(Arc::new(disk.clone()), Path::new(ROOT)).unwrap();
                 if reopened.has_result(&name)
                     && let Err(error) = reopened.read_result(&name, &job)

@@ -2,7 +2,7 @@
 //! of faults, files are cut at every byte, processes are killed at random instants, and disks fail.
 //!
 //! Everything except the processes runs in virtual time. The numbers here are small;
-//! `scripts/durability` sets the environment to the large ones.
+//! `scripts/durability` sets the environment to the large numbers.
 
 #[path = "../real_time/busy_computer.rs"]
 mod busy_computer;

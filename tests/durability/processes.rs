@@ -29,7 +29,7 @@ struct Running(Child);
 
 impl Running {
     fn signal(&self, signal: Signal) {
-        // It may have ended by itself.
+        // The process may have ended by itself.
         let _ = kill_process(Pid::from_child(&self.0), signal);
     }
 }
@@ -44,8 +44,10 @@ impl Drop for Running {
 
 /// An emulated Qube in a process of its own, and its port.
 fn emulate(directory: &Path) -> (Running, String) {
-    let mut child =
-        program(directory, &["emulate"]).stdout(Stdio::piped()).spawn().expect("it starts");
+    let mut child = program(directory, &["emulate"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
     let mut port = String::new();
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut port).unwrap();
     (Running(child), port.trim().to_owned())
@@ -62,7 +64,7 @@ fn run_until_a_rollout_is_under_way(directory: &Path, port: &str, rollouts: &str
         arguments.extend(["--skip-check", "--home", "hand", "--out", "out"]);
         arguments.extend(["--rollouts", rollouts]);
         let child = program(directory, &arguments).stdout(Stdio::null()).spawn();
-        Running(child.expect("it starts"))
+        Running(child.expect("the program starts"))
     };
     let mut running = start();
     let begun = Instant::now();
@@ -70,9 +72,9 @@ fn run_until_a_rollout_is_under_way(directory: &Path, port: &str, rollouts: &str
         let ended = running.0.try_wait().unwrap().is_some();
         if ended || begun.elapsed() > PATIENCE {
             let _ = running.0.kill();
-            let told = std::io::read_to_string(running.0.stderr.take().unwrap()).unwrap();
-            assert!(begun.elapsed() < PATIENCE, "no rollout begins: {told}");
-            println!("{told}");
+            let messages = std::io::read_to_string(running.0.stderr.take().unwrap()).unwrap();
+            assert!(begun.elapsed() < PATIENCE, "no rollout begins: {messages}");
+            println!("{messages}");
             running = start();
         }
         std::thread::sleep(Duration::from_millis(20));
@@ -85,16 +87,18 @@ fn a_second_program_on_a_port_is_refused_within_a_second_and_told_which_process_
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let (_qube, port) = emulate(directory.path());
-        // Six programs start while it runs, which takes a busy computer longer than a rollout.
+        // Six programs start while this one runs, which takes a busy computer longer than a
+        // rollout.
         let first = run_until_a_rollout_is_under_way(directory.path(), &port, "9");
         let holder = format!("process {} ", first.0.id());
         let missing = directory.path().join("no-port").display().to_string();
         let (mut fastest, mut without_port) = (Duration::MAX, Duration::MAX);
         for _ in 0..3 {
-            let told = refused(directory.path(), &port, &mut fastest);
-            assert!(told.contains("in use") && told.contains(&holder), "{holder}: {told}");
-            let told = refused(directory.path(), &missing, &mut without_port);
-            assert!(told.contains("no such port"), "{told}");
+            let messages = refused(directory.path(), &port, &mut fastest);
+            let names_holder = messages.contains("in use") && messages.contains(&holder);
+            assert!(names_holder, "{holder}: {messages}");
+            let messages = refused(directory.path(), &missing, &mut without_port);
+            assert!(messages.contains("no such port"), "{messages}");
         }
         // The time of the start of a process on this computer, however busy it is, does not count.
         let waited = fastest.saturating_sub(without_port);
@@ -128,7 +132,7 @@ fn a_process_that_is_stopped_in_a_rollout_finds_the_watchdog_tripped_and_says_so
             if let Some(status) = run.0.try_wait().unwrap() {
                 break status;
             }
-            assert!(begun.elapsed() < PATIENCE, "it never ends");
+            assert!(begun.elapsed() < PATIENCE, "the process does not end");
             std::thread::sleep(Duration::from_millis(20));
         };
         let stderr = std::io::read_to_string(run.0.stderr.take().unwrap()).unwrap();
@@ -168,7 +172,9 @@ fn session(directory: &Path, name: &str) -> Running {
         arguments.extend(["--config", "small.toml", "--out", name]);
     }
     let mut command = program(directory, &arguments);
-    Running(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("it starts"))
+    Running(
+        command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts"),
+    )
 }
 
 fn ledger(folder: &Path) -> Vec<u8> {
@@ -201,7 +207,7 @@ fn killed_at_random_instants_nothing_finished_is_lost_or_repeated() {
     std::fs::write(directory.path().join("small.toml"), SMALL).unwrap();
     let begun = Instant::now();
     assert!(session(directory.path(), "whole").0.wait().unwrap().success());
-    let length = begun.elapsed();
+    let duration = begun.elapsed();
     let whole = ledger(&directory.path().join("whole"));
 
     let (mut kills, mut sessions, mut aside) = (0, 0, 0);
@@ -213,7 +219,7 @@ fn killed_at_random_instants_nothing_finished_is_lost_or_repeated() {
             let mut running = session(directory.path(), &name);
             // Most kills come early, so that a session is resumed many times.
             let fraction: f64 = random.random();
-            std::thread::sleep(length.mul_f64(fraction * fraction));
+            std::thread::sleep(duration.mul_f64(fraction * fraction));
             if let Some(status) = running.0.try_wait().unwrap() {
                 assert!(status.success(), "after {kills} kills: {status}");
                 break;

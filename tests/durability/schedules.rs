@@ -1,5 +1,5 @@
-//! Tests whole sessions in virtual time under seeded schedules of faults: on the wire, on the disk,
-//! crashes, losses of power, requests to stop; the process is restarted as often as necessary.
+//! Tests whole sessions in virtual time under seeded schedules of faults of the wire and the disk,
+//! crashes, losses of power and requests to stop; the process is restarted as often as necessary.
 //!
 //! Everything follows from the seed of a schedule. Most schedules begin with trained policies, as a
 //! session finds them after a crash; one in sixteen trains.
@@ -159,7 +159,7 @@ pub fn live(
     Life { result, entries, wire_operations, longest_on_us: wiring.must_end_safe() }
 }
 
-/// Whether the control thread is gone, which only a panic ends before its rig is dropped.
+/// Returns whether the control thread is gone. Before its rig is dropped, only a panic ends it.
 fn is_thread_gone(error: &SessionError) -> bool {
     let error = match error {
         SessionError::Rig(error) => error,
@@ -171,7 +171,7 @@ fn is_thread_gone(error: &SessionError) -> bool {
 
 /// Counts over the lives of one schedule, or of several.
 #[derive(Default)]
-struct Told {
+struct Tally {
     lives: u64,
     crashes: u64,
     power_losses: u64,
@@ -232,16 +232,16 @@ impl Schedule {
         self.chance(2).then_some((rig, operation))
     }
 
-    fn run(mut self) -> Told {
-        let mut told = Told::default();
+    fn run(mut self) -> Tally {
+        let mut tally = Tally::default();
         let trains = self.random.random_range(0..16) == 0;
         let mut disk = if trains { SimulatedDisk::default() } else { self.world.trained_disk() };
         let mut recorded: Vec<Entry> = Vec::new();
         loop {
-            told.lives += 1;
-            assert!(told.lives < 20, "it never comes to an end");
+            tally.lives += 1;
+            assert!(tally.lives < 20, "the session does not end");
             let (mut plans, mut stop) = (Vec::new(), None);
-            if told.lives <= u64::from(DISTURBED_LIVES) {
+            if tally.lives <= u64::from(DISTURBED_LIVES) {
                 disk.plan(self.disk_faults());
                 plans = self.wire_plans();
                 stop = self.stop();
@@ -250,23 +250,23 @@ impl Schedule {
             let stop = stop.map(|(rig, operation)| (rig, operation, Arc::clone(&flag)));
             let wiring = Wiring::new(plans, stop, disk.crashed());
             let life = live(&self.world.settings, &disk, wiring, flag);
-            told.longest_on_us = told.longest_on_us.max(life.longest_on_us);
+            tally.longest_on_us = tally.longest_on_us.max(life.longest_on_us);
             if life.entries.len() > recorded.len() {
-                assert!(life.entries.starts_with(&recorded), "the ledger forgot something");
+                assert!(life.entries.starts_with(&recorded), "the ledger lacks an entry");
                 recorded = life.entries;
             }
 
             let Err(error) = life.result else { break };
             assert!(error.to_string().len() > 5, "an error without a message");
             if matches!(error, SessionError::GivenUp { .. }) {
-                told.given_up += 1;
+                tally.given_up += 1;
                 break;
             }
             let crashed = disk.crashed().load(Ordering::SeqCst);
-            told.crashes += u64::from(crashed);
+            tally.crashes += u64::from(crashed);
             // The power may also fail after a process that ended by itself.
             let stopped = if self.chance(if crashed { 5 } else { 2 }) {
-                told.power_losses += 1;
+                tally.power_losses += 1;
                 Stopped::PowerLost(self.random.random())
             } else {
                 Stopped::Killed
@@ -277,18 +277,18 @@ impl Schedule {
             let found = parse_ledger(&bytes).unwrap_or_else(|damage| panic!("{damage:?}"));
             assert!(found.entries.starts_with(&recorded), "a recorded entry is lost");
             if !disk.exists(&root().join("session.toml")) {
-                // It was stopped before its first entry, so the next life begins anew.
+                // The session was stopped before its first entry, so the next life begins anew.
                 assert!(recorded.is_empty());
                 disk = SimulatedDisk::default();
             }
         }
-        self.check_end(&disk, &recorded, told.given_up > 0);
-        told
+        self.check_end(&disk, &recorded, tally.given_up > 0);
+        tally
     }
 
     /// Checks that each rollout is counted once and that its recording is complete, and that a
-    /// session without faults of the wire has the ledger of an undisturbed one, byte for byte. A
-    /// session that has given up may lack rollouts.
+    /// session without faults of the wire has the ledger of an undisturbed session, byte for byte.
+    /// A session that has given up may lack rollouts.
     fn check_end(&self, disk: &SimulatedDisk, recorded: &[Entry], given_up: bool) {
         let bytes = disk.bytes(&ledger_path()).unwrap_or_default();
         let entries = parse_ledger(&bytes).unwrap().entries;
@@ -320,14 +320,14 @@ impl Schedule {
     }
 }
 
-/// Prints how to repeat the schedule that failed.
+/// Seed of a schedule. If the schedule fails, the seed prints the command that repeats it.
 struct Seed(u64);
 
 impl Drop for Seed {
     fn drop(&mut self) {
         if std::thread::panicking() {
             eprintln!(
-                "again: QUBE_HIL_SCHEDULE_SEED={} QUBE_HIL_SCHEDULES=1 \
+                "to repeat: QUBE_HIL_SCHEDULE_SEED={} QUBE_HIL_SCHEDULES=1 \
                  cargo test --test durability schedules",
                 self.0
             );
@@ -343,32 +343,32 @@ fn no_schedule_of_faults_loses_or_repeats_anything() {
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
     let all = std::thread::scope(|scope| {
         let work = || {
-            let mut sum = Told::default();
+            let mut sum = Tally::default();
             loop {
                 let seed = Seed(next.fetch_add(1, Ordering::Relaxed));
                 if seed.0 >= first + count {
                     return sum;
                 }
-                let told = Schedule::new(seed.0).run();
-                sum.lives += told.lives;
-                sum.crashes += told.crashes;
-                sum.power_losses += told.power_losses;
-                sum.given_up += told.given_up;
-                sum.longest_on_us = sum.longest_on_us.max(told.longest_on_us);
+                let tally = Schedule::new(seed.0).run();
+                sum.lives += tally.lives;
+                sum.crashes += tally.crashes;
+                sum.power_losses += tally.power_losses;
+                sum.given_up += tally.given_up;
+                sum.longest_on_us = sum.longest_on_us.max(tally.longest_on_us);
             }
         };
         let threads: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
         threads.into_iter().map(|thread| thread.join().unwrap()).collect::<Vec<_>>()
     });
-    let sum = |of: fn(&Told) -> u64| all.iter().map(of).sum::<u64>();
+    let sum = |of: fn(&Tally) -> u64| all.iter().map(of).sum::<u64>();
     println!(
         "{count} schedules from seed {first}: {} lives, {} crashes, {} losses of power, {} given \
          up; amplifier off at most {} us after the last valid command",
-        sum(|told| told.lives),
-        sum(|told| told.crashes),
-        sum(|told| told.power_losses),
-        sum(|told| told.given_up),
-        all.iter().map(|told| told.longest_on_us).max().unwrap_or(0)
+        sum(|tally| tally.lives),
+        sum(|tally| tally.crashes),
+        sum(|tally| tally.power_losses),
+        sum(|tally| tally.given_up),
+        all.iter().map(|tally| tally.longest_on_us).max().unwrap_or(0)
     );
 }
 

@@ -2,8 +2,8 @@
 //!
 //! Until a file is synced, its new bytes may be lost or read as zeros, and a file that was cut or
 //! begun anew may have its old bytes again. Bytes that a failed sync has not written are not
-//! written by a later one either, as under Linux. Until a folder is synced, a loss of power leaves
-//! either all of its old names or all of its new ones.
+//! written by a later sync either, as under Linux. Until a folder is synced, a loss of power leaves
+//! either all of its old names or all of its new names.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -22,9 +22,9 @@ use rand_chacha::ChaCha8Rng;
 /// A failure of an operation that changes the disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DiskFault {
-    /// The disk is full: a write takes half of its bytes and then fails. Permanent.
+    /// The disk is full, permanently: a write takes half of its bytes and then fails.
     Full,
-    /// The file system has become read-only. Permanent.
+    /// The file system has become read-only, permanently.
     ReadOnly,
     /// A write or a change of names fails with EIO, once; a write takes half of its bytes.
     WriteFails,
@@ -38,20 +38,20 @@ pub enum DiskFault {
 /// The way in which a machine stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stopped {
-    /// The process is gone; the operating system keeps what it was given.
+    /// The process is gone; the operating system keeps the data that it has received.
     Killed,
     /// The machine is off; the seed decides which unsynced data survive.
     PowerLost(u64),
 }
 
-/// A file.
+/// The content of a file, as processes read it and as the disk holds it.
 #[derive(Clone, Debug, Default)]
 struct Node {
     /// Bytes that a process reads.
     bytes: Vec<u8>,
     /// Bytes on disk after the last sync.
     synced: Vec<u8>,
-    /// Number of leading bytes of `synced` that have not changed since.
+    /// Number of leading bytes of `synced` that have not changed since the last sync.
     kept: usize,
     /// Range of `bytes` that a failed sync has not written; the next sync leaves zeros there.
     lost: Range<usize>,
@@ -83,7 +83,7 @@ impl Node {
         self.lost = self.kept..self.bytes.len();
     }
 
-    /// The bytes of the file that have reached the disk: all synced ones, and some of the others,
+    /// The bytes of the file that have reached the disk: all synced bytes, and some of the others,
     /// the last of them perhaps as zeros. A file that was cut or begun anew may have its synced
     /// content.
     fn after_power_loss(&self, random: &mut ChaCha8Rng) -> Vec<u8> {
@@ -118,7 +118,7 @@ struct Content {
     sync_fails: bool,
 }
 
-/// The disk. Clones are handles of the same one.
+/// The simulated disk. Clones are handles of the same disk.
 #[derive(Clone)]
 pub struct SimulatedDisk {
     content: Arc<Mutex<Content>>,
@@ -238,9 +238,9 @@ impl SimulatedDisk {
         files.map(|(path, _)| path.clone()).collect()
     }
 
-    /// Counts an operation, and fails it if that is planned. With an error it returns whether a
-    /// write takes half of its bytes. A crash has an error of its own, which every later call
-    /// returns.
+    /// Counts an operation, and returns an error if a fault is planned for it. Beside the error it
+    /// returns whether a write takes half of its bytes. A crash has an error of its own, which
+    /// every later call returns.
     fn begin(&self, is_sync: bool) -> Result<MutexGuard<'_, Content>, (io::Error, bool)> {
         let mut content = self.content();
         if self.crashed.load(Ordering::SeqCst) {

@@ -43,10 +43,11 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
         // Only a panic ends the control thread here, for instance one in a check of its wire.
         Err(error @ RigError::ThreadGone(_)) => panic!("{plan:?}: {error}"),
         Err(error) => {
-            let passed = plan.is_some_and(|plan| !plan.lasting);
-            let of_time =
+            let is_over = plan.is_some_and(|plan| !plan.lasting);
+            let is_timing_fault =
                 matches!(error, RigError::Homing { fault, .. } if fault.may_be_repeated());
-            assert!(!(passed && of_time), "{plan:?}: homing was not tried again: {error}");
+            let is_given_up = is_over && is_timing_fault;
+            assert!(!is_given_up, "{plan:?}: homing was not tried again: {error}");
             Outcome::NotOpened(named(&error))
         }
         Ok(mut rig) => {
@@ -169,7 +170,7 @@ fn sweep(method: HomingMethod, stride: u64) -> Tally {
     sum
 }
 
-/// Prints the combination of a run that panics.
+/// Combination of a run, which is printed if the run panics.
 struct Case(Plan);
 
 impl Drop for Case {
@@ -185,7 +186,7 @@ impl Tally {
         self.runs += 1;
         self.longest_on_us = self.longest_on_us.max(on_us);
         if plan.kind.is_ordinary() && !plan.lasting {
-            assert_eq!(outcome, Outcome::Finished, "an ordinary event ended it: {plan:?}");
+            assert_eq!(outcome, Outcome::Finished, "an ordinary failure ended the run: {plan:?}");
         }
         match outcome {
             Outcome::Finished => self.finished += 1,

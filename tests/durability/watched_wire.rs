@@ -36,7 +36,7 @@ impl WatchedWire {
         action(&mut self.wire.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// The device's state now.
+    /// The present state of the device.
     pub fn state(&self) -> DeviceState {
         self.with(|wire| wire.board().state())
     }
@@ -50,13 +50,16 @@ impl WatchedWire {
             let last_us = board.last_command_us();
             if board.state() == DeviceState::Armed {
                 let silent_us = now_us.saturating_sub(last_us);
-                assert!(silent_us <= WATCHDOG_US + POLL_US, "on after {silent_us} us of silence");
+                assert!(
+                    silent_us <= WATCHDOG_US + POLL_US,
+                    "the amplifier is on after {silent_us} us of silence"
+                );
                 return None;
             }
-            assert_eq!(board.applied_mv(), 0, "a voltage at an amplifier that is off");
+            assert_eq!(board.applied_mv(), 0, "the amplifier is off and has a voltage");
             let off_us = board.switched_off_us()?;
             let later_us = off_us.saturating_sub(last_us);
-            assert!(later_us <= WATCHDOG_US + POLL_US, "off {later_us} us after the last command");
+            assert!(later_us <= WATCHDOG_US + POLL_US, "it is off {later_us} us after a command");
             Some(later_us)
         })
     }

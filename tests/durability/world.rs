@@ -1,5 +1,5 @@
-//! A Qube in virtual time behind a wire with planned faults, and the length of a rollout that is as
-//! short as possible and still passes through every phase.
+//! A Qube in virtual time behind a wire with planned faults, and the length of the shortest rollout
+//! that passes through every phase.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -56,7 +56,7 @@ impl Wiring {
     }
 
     /// Longest time for which an amplifier stayed on after the last valid command, us, over all
-    /// rigs. Panics if one is still on.
+    /// rigs. Panics if an amplifier is on at the end.
     pub fn must_end_safe(&self) -> u64 {
         let opened = std::mem::take(&mut self.state().opened);
         opened.iter().filter_map(WatchedWire::must_end_safe).max().unwrap_or(0)
@@ -113,7 +113,8 @@ impl Connect for Wiring {
     }
 }
 
-/// The process's end of a wire. It is gone once the process has crashed, and may request a stop.
+/// The process's end of a wire, which is gone once the process has crashed, and which may request a
+/// stop.
 struct HostEnd {
     port: FaultPort<WatchedWire>,
     stop: Option<(u64, Arc<AtomicBool>)>,

@@ -1,4 +1,5 @@
-//! Tests how soon the firmware passes an act on to the Qube, and a flood of requests.
+//! Tests how soon the firmware passes an act on to the Qube, and that it answers requests in spite
+//! of a flood of them.
 
 use std::time::Duration;
 
@@ -14,8 +15,8 @@ const ACTS: i16 = 40;
 /// Time of 17 bytes at 1 MHz, with an interrupt after each of them, us.
 const FRAME_US: u64 = 17 * 11;
 
-/// Longest time from the chip's start to the start of the firmware's clock: at its first start the
-/// firmware writes its serial number into the EEPROM.
+/// Longest time from the chip's start to the start of the firmware's clock, us: at its first start
+/// the firmware writes its serial number into the EEPROM.
 const BOOT_US: u64 = 60_000;
 
 /// Largest time between the firmware's reading of its clock and the fall of chip select, us.
@@ -54,7 +55,7 @@ fn the_firmware_passes_an_act_on_at_once() {
             .find(|begins_us| {
                 samples_us.iter().all(|sample_us| is_of_a_frame(begins_us + sample_us))
             })
-            .expect("the device's clock begins somewhere");
+            .expect("the device's clock begins within the boot time");
         let mut delays_us: Vec<u64> = acts
             .iter()
             .map(|&(accepted_us, word)| {
@@ -91,8 +92,8 @@ fn the_firmware_survives_a_flood_of_requests() {
     });
 }
 
-/// Tests that bytes which find the ring of received bytes full cost no request that waits in it:
-/// the ring holds 127 bytes, 18 requests of seven bytes. It is full after about nine answers.
+/// Tests that bytes which arrive while the ring of received bytes is full cost no request in the
+/// ring. It holds 127 bytes, 18 requests of seven bytes, and is full after about nine answers.
 #[test]
 fn the_firmware_answers_every_request_that_it_received_before_it_lost_bytes() {
     const REQUESTS: u16 = 60;

@@ -12,7 +12,7 @@ use qube_hil::rig::{ClockChoice, Connect, DeviceChoice, RigSettings, TimedDevice
 
 use crate::simulated_board::SimulatedBoard;
 
-/// Time that this clock runs on by itself without a sign of the board.
+/// Longest time for which this clock runs on by itself without a new time of the board.
 const AHEAD: Duration = Duration::from_millis(3);
 
 /// Interval of polling while waiting.
@@ -28,12 +28,12 @@ pub struct BoardClock {
 struct Last {
     board_us: u64,
     seen: Instant,
-    told_ns: Nanoseconds,
+    returned_ns: Nanoseconds,
 }
 
 impl BoardClock {
     pub fn new(board_us: impl Fn() -> u64 + Send + Sync + 'static) -> Self {
-        let last = Last { board_us: board_us(), seen: Instant::now(), told_ns: 0 };
+        let last = Last { board_us: board_us(), seen: Instant::now(), returned_ns: 0 };
         Self { board_us: Arc::new(board_us), last: Arc::new(Mutex::new(last)) }
     }
 }
@@ -52,8 +52,8 @@ impl Clock for BoardClock {
             (last.board_us, last.seen) = (board_us, Instant::now());
         }
         let ahead = last.seen.elapsed().min(AHEAD);
-        last.told_ns = last.told_ns.max(board_us * 1000 + ahead.as_nanos() as u64);
-        last.told_ns
+        last.returned_ns = last.returned_ns.max(board_us * 1000 + ahead.as_nanos() as u64);
+        last.returned_ns
     }
 
     fn sleep_until(&self, deadline_ns: Nanoseconds) {
@@ -63,7 +63,7 @@ impl Clock for BoardClock {
     }
 }
 
-/// Connection to a simulated board in its own time.
+/// Connection to a simulated board in the board's time.
 #[derive(Debug)]
 struct Connection {
     port: String,

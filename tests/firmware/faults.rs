@@ -11,19 +11,19 @@ use crate::qube::{Command, Qube};
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
 
-/// Two of the firmware's sampling periods: its largest delay in detecting a fault or telling the
-/// Qube.
+/// Two of the firmware's sampling periods, us: its largest delay in detecting a fault or switching
+/// the Qube's motor off.
 const TWO_PERIODS_US: u64 = 2 * 2_000;
 
-/// Timeout of the chip's watchdog.
+/// Timeout of the chip's watchdog, us.
 const CHIP_WATCHDOG_US: u64 = 16_384;
 
-/// The time at which the motor went off for good, us. Also checks that all frames from then on are
-/// off, and that all but the first of them are red, or dark between two blinks.
-fn off_for_good(commands: &[Command]) -> u64 {
-    let last_on = commands.iter().rposition(Command::motor_is_on).expect("it was driving");
+/// Returns the time at which the motor went off for the last time, us. Also checks that all later
+/// frames are off, and that all but the first of them are red, or dark between two blinks.
+fn last_off_us(commands: &[Command]) -> u64 {
+    let last_on = commands.iter().rposition(Command::motor_is_on).expect("the motor was on");
     let off = &commands[last_on + 1..];
-    assert!(off.len() > 20, "too little was seen: {off:?}");
+    assert!(off.len() > 20, "too few frames came: {off:?}");
     assert!(off.iter().all(|it| it.motor_word == 0), "off is the motor word 0x0000: {off:?}");
     assert!(off.iter().skip(1).all(|it| it.is_red() || it.leds == [0; 3]), "{:?}", &off[1..20]);
     assert!(off.iter().any(Command::is_red));
@@ -49,7 +49,7 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
         host.arm_and_drive()?;
         host.board.wait_us(300_000);
         let commands = host.commands_since(armed_us);
-        let off_us = off_for_good(&commands);
+        let off_us = last_off_us(&commands);
         let status = host.sample_in_time()?.status;
         assert!(status.watchdog_tripped && !status.armed, "{status:?}");
         // Steady red is the colour of the watchdog.
@@ -62,9 +62,8 @@ fn the_firmware_switches_off_50_ms_after_the_host_fell_silent() {
         host.link.arm().unwrap();
         host.board.wait_us(100_000);
         let commands = host.commands_since(armed_us);
-        let on_us =
-            commands.iter().find(|it| it.motor_is_on()).expect("it was armed").deselected_us;
-        let on_for_us = off_for_good(&commands) - on_us;
+        let on_us = commands.iter().find(|it| it.motor_is_on()).expect("it is armed").deselected_us;
+        let on_for_us = last_off_us(&commands) - on_us;
         let (least_us, most_us) =
             (u64::from(WATCHDOG_MS) * 1000, u64::from(WATCHDOG_MS + WATCHDOG_POLL_MS) * 1000);
         assert!(
@@ -91,11 +90,11 @@ fn the_firmware_latches_an_amplifier_fault() {
         // The current frame may have been the last that drove.
         let last = Command { motor_word: 0x8000, ..commands[0] };
         commands.insert(0, last);
-        assert!(off_for_good(&commands) <= fault_us + 2 * TWO_PERIODS_US, "{:?}", &commands[..5]);
+        assert!(last_off_us(&commands) <= fault_us + 2 * TWO_PERIODS_US, "{:?}", &commands[..5]);
         let sample = host.sample_in_time()?;
-        assert!(sample.status.amplifier_fault, "a fault that is over is still named");
+        assert!(sample.status.amplifier_fault, "the status lacks a fault that is over");
         let blinks = commands.iter().any(|it| it.leds == [0; 3]);
-        assert!(blinks, "a fault is told from the watchdog by its blinking");
+        assert!(blinks, "the LED does not blink, as it must to differ from a tripped watchdog");
 
         // While the fault lasts the device refuses to arm; afterwards a hello and an arm succeed.
         host.board.qube().amplifier_fault = true;
@@ -120,7 +119,7 @@ fn the_firmware_latches_a_stall_and_clears_it_when_it_is_armed_anew() {
         host.drive_until(|sample| !sample.status.armed)?;
         host.board.wait_us(300_000);
         let before = host.sample_in_time()?;
-        assert!(before.status.stall_error, "until the next Arm command the flag stays");
+        assert!(before.status.stall_error, "the flag does not stay until the next Arm command");
 
         let cleared_us = host.board.time_us();
         host.link.hello().unwrap();
@@ -148,9 +147,9 @@ fn the_firmware_latches_a_stall_and_clears_it_when_it_is_armed_anew() {
 #[test]
 fn the_firmware_knows_a_qube_by_its_module_id() {
     let Some(toolchain) = toolchain() else { return };
-    let mut nobody = Qube::new(0);
-    nobody.module_id = 0xFFFF;
-    let board = SimulatedBoard::start(toolchain, Chip::Atmega2560, nobody);
+    let mut absent = Qube::new(0);
+    absent.module_id = 0xFFFF;
+    let board = SimulatedBoard::start(toolchain, Chip::Atmega2560, absent);
     let mut link = SerialLink::open(board.port(), std::sync::Arc::new(MonotonicClock)).unwrap();
     let error = link.hello().unwrap_err().to_string();
     assert!(error.contains("0xffff"), "{error}");
@@ -161,7 +160,7 @@ fn the_firmware_knows_a_qube_by_its_module_id() {
         let gone_us = host.board.time_us();
         host.board.qube().module_id = 0x0308;
         host.board.wait_us(300_000);
-        let off_us = off_for_good(&host.commands_since(gone_us - 50_000));
+        let off_us = last_off_us(&host.commands_since(gone_us - 50_000));
         assert!(off_us <= gone_us + 2 * TWO_PERIODS_US, "off after {} us", off_us - gone_us);
         let refused = |sampled: Result<_, LinkFault>| match sampled.map(|_: Measurement| ()) {
             Err(LinkFault::Timeout) => Err(Disturbed),
@@ -170,7 +169,7 @@ fn the_firmware_knows_a_qube_by_its_module_id() {
         assert_eq!(refused(host.sample())?, Err(LinkFault::QubeOff));
         host.board.qube().module_id = QUBE_MODULE_ID;
         host.board.wait_us(10_000);
-        // Its counters have begun anew, so nothing goes on without a new hello.
+        // The Qube's counters have begun anew, so nothing goes on without a new hello.
         assert_eq!(refused(host.sample())?, Err(LinkFault::Restarted));
         let refused = host.link.hello().unwrap_err();
         assert!(matches!(refused, DeviceError::SwitchedOff { .. }), "{refused}");
@@ -214,7 +213,7 @@ fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
             "off {off_after_us} us after the program hung"
         );
         assert!(off[0].is_red(), "the watchdog's own frame: {:?}", off[0]);
-        // The chip has restarted and knows of no hello: white.
+        // The chip has restarted and has received no hello, so the LED is white.
         let [red, green, blue] = off.last().unwrap().leds;
         assert!(red > 0 && red == green && green == blue, "{:?}", off.last());
         host.link.hello().unwrap();

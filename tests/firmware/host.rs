@@ -32,7 +32,7 @@ const ATTEMPTS: u32 = 6;
 #[derive(Debug)]
 pub struct Disturbed;
 
-/// A board that has been greeted, and the link to it. The host drives it with 1 V.
+/// A board that has been greeted, and the link to it. The host drives the motor with 1 V.
 pub struct Host {
     pub board: SimulatedBoard,
     pub link: SerialLink<Tty>,
@@ -51,7 +51,8 @@ impl Host {
         self.link.sample(MonotonicClock.now_ns() + PATIENCE_NS)
     }
 
-    /// A sample. A computer that is too slow loses it by a timeout; any other fault is the board's.
+    /// Requests a sample. On a computer that is too slow it times out; any other fault is the
+    /// board's.
     pub fn sample_in_time(&mut self) -> Result<Measurement, Disturbed> {
         match self.sample() {
             Ok(sample) => Ok(sample),
@@ -104,7 +105,7 @@ impl Host {
     }
 
     /// The time from an order that switches the motor off to the first command without the motor,
-    /// us, and all commands from that one on. The motor must have been on when the order came.
+    /// us, and all commands from this command on. The motor must have been on when the order came.
     pub fn off_after_order(&self) -> Result<(u64, Vec<Command>), Disturbed> {
         let ordered_us = self.board.ordered_us();
         let mut off = self.commands_since(ordered_us.saturating_sub(BEFORE_ORDER_US));
@@ -123,8 +124,8 @@ pub fn scenario(run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
 }
 
 /// Runs a scenario like [`scenario`], on this chip. An attempt is repeated only if a processor
-/// stalled in it or the simulation lost real time; on a computer that kept up the board is to
-/// blame. An attempt that panics is repeated only if a processor stalled, and the last one never.
+/// stalled in it or the simulation lost real time; if the computer kept up, the board has failed.
+/// An attempt that panics is repeated only if a processor stalled, and the last attempt never.
 pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
     let Some(toolchain) = toolchain() else { return };
     for attempt in 1..=ATTEMPTS {
@@ -138,7 +139,7 @@ pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>)
         });
         let given_up_us = match (ended, outcome.take()) {
             (Err(panic), _) if stood < STANDS_STILL || attempt == ATTEMPTS => resume_unwind(panic),
-            // A simulation that has panicked no longer says how much time it lost.
+            // A simulation that has panicked does not report how much time it lost.
             (Err(_), _) => 0,
             (Ok(()), Some((Err(Disturbed), given_up_us))) => given_up_us,
             (Ok(()), _) => return,

@@ -33,7 +33,7 @@ fn latency_on_the_firmware() {
         .args(["run", "--policy", "classical", "--rollouts", ROLLOUTS, "--device", board.port()])
         .args(["--out", directory.path().to_str().unwrap()])
         .output()
-        .expect("it runs");
+        .expect("the program runs");
     println!(
         "{}{}\n{:.1} s simulated with {:.0} % of a core, {} us given up",
         String::from_utf8_lossy(&output.stdout),
@@ -54,9 +54,9 @@ fn latency_on_the_firmware() {
     while round_trips_us.len() < SAMPLES {
         // The requests come at all phases of the device's sampling timer.
         std::thread::sleep(Duration::from_micros(random.random_range(5_000..9_000)));
-        let asked = Instant::now();
+        let requested = Instant::now();
         if host.sample().is_ok() {
-            round_trips_us.push(asked.elapsed().as_secs_f64() * 1e6);
+            round_trips_us.push(requested.elapsed().as_secs_f64() * 1e6);
         }
     }
     println!("Sample to SampleReply, {SAMPLES} times: {}", percentiles(round_trips_us));

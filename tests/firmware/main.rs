@@ -1,8 +1,8 @@
 //! Tests the firmware binary, run by simavr on a real pty, with a Qube on its SPI.
 //!
-//! `make` builds it into `target/tmp/firmware`. It needs the Debian packages gcc-avr, avr-libc,
-//! libsimavr-dev and libelf-dev. Without them one line reports that the tests are skipped, or each
-//! test fails if they are required (`CI` or `QUBE_HIL_REQUIRE_FIRMWARE` is set).
+//! `make` builds the binary in `target/tmp/firmware`. The tests need the Debian packages gcc-avr,
+//! avr-libc, libsimavr-dev and libelf-dev. Without them one line reports that the tests are
+//! skipped, or each test fails if they are required (`CI` or `QUBE_HIL_REQUIRE_FIRMWARE` is set).
 
 mod acting;
 mod board_clock;

@@ -1,4 +1,4 @@
-//! Tests the Qube while its board loses its supply, browns out or restarts, and which values
+//! Tests the Qube while its board loses its supply, browns out or restarts, and the values that
 //! persist.
 
 use std::sync::Arc;
@@ -12,13 +12,13 @@ use crate::qube::Qube;
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
 
-/// The chip's start-up time after a brown-out.
+/// The chip's start-up time after a brown-out, us.
 const START_UP_US: u64 = 65_000;
 
-/// Time from the chip's start to the end of the program's first frame.
+/// Longest time from the chip's start to the end of the program's first frame, us.
 const FIRST_FRAME_US: u64 = 1_000;
 
-/// Error of the time of an order: a frame, and some of the simulator's slices.
+/// Largest error of the time of an order, us: a frame, and some of the simulator's slices.
 const ORDER_US: u64 = 3_000;
 
 /// Drives the motor and restarts the board meanwhile. Returns the time for which the motor stayed
@@ -30,13 +30,13 @@ fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), D
     host.board.wait_us(150_000);
     let (on_us, off) = host.off_after_order()?;
     assert!(off.len() > 10 && off.iter().all(|it| it.motor_word == 0), "{off:?}");
-    // The firmware's watchdog did not switch it off: it needs 50 ms and keeps the LED red.
+    // The firmware's watchdog did not switch the motor off: it needs 50 ms and keeps the LED red.
     assert!(off[0].is_red() && !off[5].is_red(), "the first frame of a start is red, then white");
     let refused = host.sample();
     if refused == Err(LinkFault::Timeout) {
         return Err(Disturbed);
     }
-    assert_eq!(refused, Err(LinkFault::Restarted), "a restarted board knows of no hello");
+    assert_eq!(refused, Err(LinkFault::Restarted), "a restarted board needs a hello");
     let after = host.link.hello().unwrap();
     host.arm_and_drive()?;
     Ok((on_us, before, after))
@@ -106,8 +106,8 @@ fn each_board_draws_a_serial_number_of_its_own_and_keeps_it() {
         board.order(Order::Restart);
         board.wait_us(50_000);
         let again = link.hello().unwrap();
-        assert_ne!(first.boot_id, again.boot_id, "it has restarted");
-        assert_eq!(first.serial, again.serial, "kept over a start");
+        assert_ne!(first.boot_id, again.boot_id, "the board has not restarted");
+        assert_eq!(first.serial, again.serial, "the start changed the serial number");
         serials.push(first.serial);
     }
     println!("{serials:?}");
@@ -126,9 +126,9 @@ fn a_serial_number_that_is_given_is_built_in() {
         let output = toolchain.make(folder.path(), &["SERIAL=".to_owned() + serial]);
         String::from_utf8_lossy(&output).matches("avr-gcc").count()
     };
-    assert_eq!(made("0x0123456789abcdef"), 2, "both chips");
+    assert_eq!(made("0x0123456789abcdef"), 2, "not both chips are built");
     assert_eq!(made("0x0123456789abcdef"), 0);
-    assert_eq!(made("0x1122334455667788"), 2, "another number");
+    assert_eq!(made("0x1122334455667788"), 2, "another number is not built in");
     let board = SimulatedBoard::start_elf(
         toolchain,
         &folder.path().join("atmega328p.elf"),

@@ -30,7 +30,7 @@ const LED_MAX: u16 = 999;
 const MOTOR_MAX: i16 = 999;
 
 // The AVR's SPI registers: enabled, master, MSB first, clock idles high (mode 2), and 16 MHz / 16.
-// The interrupt bit (7) is the program's own business.
+// The firmware may set or clear the interrupt bit (7).
 const SPCR_MASK: u8 = 0b0111_1111;
 const SPCR_EXPECTED: u8 = 0b0101_1001;
 const SPSR_DOUBLE_SPEED: u8 = 1 << 0;
@@ -38,7 +38,7 @@ const SPSR_DOUBLE_SPEED: u8 = 1 << 0;
 /// One frame that the Qube received, and the motor word and LEDs that hold after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Command {
-    /// Times of the falling and rising edges of chip select, simulated.
+    /// Simulated times of the falling and rising edges of chip select.
     pub selected_us: u64,
     pub deselected_us: u64,
     pub write_mask: u8,
@@ -92,7 +92,7 @@ impl Qube {
         }
     }
 
-    /// The counters as 32-bit numbers; a frame carries their lowest 24 bits.
+    /// The arm's counter as a 32-bit number; a frame carries its lowest 24 bits.
     fn theta_counts(&self) -> i32 {
         self.plant.theta_counts().wrapping_add(self.theta_preset)
     }
@@ -189,7 +189,7 @@ impl Qube {
         });
     }
 
-    fn violation(&mut self, time_us: u64, what: String) {
-        self.violations.push(format!("at {time_us} us: {what}"));
+    fn violation(&mut self, time_us: u64, message: String) {
+        self.violations.push(format!("at {time_us} us: {message}"));
     }
 }

@@ -131,7 +131,7 @@ impl SimulatedBoard {
         });
         let Ok(read) = waiting.recv_timeout(PATIENCE) else {
             let _ = simulator.kill();
-            panic!("the simulator says no port");
+            panic!("the simulator reports no port");
         };
         let (port, events) = read.unwrap();
 
@@ -139,8 +139,8 @@ impl SimulatedBoard {
         let shared = Arc::<Shared>::default();
         let (peers_qube, peers_shared) = (Arc::clone(&qube), Arc::clone(&shared));
         let peer = std::thread::spawn(move || {
-            // The thread stands for a machine. Without real-time priority it loses its processor
-            // more often.
+            // This thread represents hardware. Without real-time priority it would lose its
+            // processor more often.
             let _ = enter_realtime();
             serve(events, answers, &peers_qube, &peers_shared);
         });
@@ -191,12 +191,12 @@ impl SimulatedBoard {
     /// Waits until the simulator has ended, as it does when the board loses its supply.
     pub fn wait_for_end(&mut self) {
         let begin = Instant::now();
-        while self.simulator.try_wait().expect("it is this process's child").is_none() {
+        while self.simulator.try_wait().expect("a child of this process").is_none() {
             assert!(begin.elapsed() < PATIENCE, "the simulator does not end");
             std::thread::sleep(Duration::from_millis(1));
         }
         if let Some(peer) = self.peer.take() {
-            peer.join().expect("the Qube's thread lives");
+            peer.join().expect("the Qube's thread panicked");
         }
     }
 
@@ -205,7 +205,7 @@ impl SimulatedBoard {
         let end_us = self.time_us() + duration_us;
         let begin = Instant::now();
         while self.time_us() < end_us {
-            assert!(begin.elapsed() < PATIENCE, "there are no frames any more");
+            assert!(begin.elapsed() < PATIENCE, "the simulator sends no frames");
             std::thread::sleep(Duration::from_millis(1));
         }
     }
@@ -221,7 +221,7 @@ impl SimulatedBoard {
 
 impl Drop for SimulatedBoard {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // The simulator may have ended by itself.
         let _ = self.simulator.kill();
         let _ = self.simulator.wait();
         if let Some(peer) = self.peer.take() {
@@ -229,7 +229,10 @@ impl Drop for SimulatedBoard {
         }
         let violations = &self.qube().violations;
         if !std::thread::panicking() {
-            assert!(violations.is_empty(), "a Qube would not understand: {violations:#?}");
+            assert!(
+                violations.is_empty(),
+                "a Qube would not understand these frames: {violations:#?}"
+            );
         }
     }
 }

@@ -13,7 +13,7 @@ use crate::toolchain::{Chip, toolchain};
 /// Longest reaction: the contact must be open for 3 ms, and sampling adds one period.
 const STOP_US: u64 = 3_000 + 2_000;
 
-/// Error of the time of an order: a frame, and some of the simulator's slices.
+/// Largest error of the time of an order: one frame, and some of the simulator's time slices.
 const ORDER_US: u64 = 3_000;
 
 fn close(host: &mut Host) {
@@ -79,7 +79,7 @@ fn an_open_stop_switch_switches_the_motor_off_on_the_mega() {
     stops(Chip::Atmega2560);
 }
 
-/// Tests that a board that knows of its switch refuses to arm if the contact is open at its start.
+/// Tests that a board that has seen its switch refuses to arm if the contact is open at its start.
 #[test]
 fn a_board_remembers_its_stop_switch_over_a_restart() {
     let Some(toolchain) = toolchain() else { return };

@@ -50,18 +50,18 @@ fn swings_up(chip: Chip, policy: &Policy) {
             Err(error) => panic!("{error}"),
         };
         let simulated_s = board.time_us() as f64 * 1e-6;
-        let told = format!(
+        let summary = format!(
             "{:?}\n{simulated_s:.1} s simulated with {:.0} % of a core, {} us given up\n",
             recorded.outcome,
             100.0 * board.processor_s() / simulated_s,
             board.given_up_us(),
         );
         if let Verdict::Result { success: true, .. } = score(&MachineDisk, &path).unwrap() {
-            println!("{}: {told}", chip.name());
+            println!("{}: {summary}", chip.name());
             assert_eq!(board.lost_bytes(), 0);
             return;
         }
-        complaints += &told;
+        complaints += &summary;
     }
     panic!("no swing-up in {ATTEMPTS} attempts: {complaints}");
 }

@@ -1,4 +1,5 @@
-//! Builds the firmware and the simulator once for each run, or reports why not.
+//! Builds the firmware and the simulator once for each run, or reports the reason for skipping the
+//! tests.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -45,7 +46,7 @@ impl Toolchain {
     }
 }
 
-/// Whether a program runs successfully.
+/// Returns whether a program runs successfully.
 fn works(program: &str, arguments: &[&str]) -> bool {
     Command::new(program)
         .args(arguments)
@@ -103,9 +104,9 @@ pub fn toolchain() -> Option<&'static Toolchain> {
     TOOLCHAIN
         .get_or_init(|| {
             let Some(missing) = missing() else { return Some(build()) };
-            let why = format!("{missing} is missing: apt-get install {PACKAGES}");
+            let reason = format!("{missing} is missing: apt-get install {PACKAGES}");
             let variables = &["CI", "QUBE_HIL_REQUIRE_FIRMWARE"];
-            say_skipped("all tests of the firmware", why, variables);
+            say_skipped("all tests of the firmware", reason, variables);
             None
         })
         .as_ref()

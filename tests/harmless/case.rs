@@ -78,7 +78,7 @@ impl Case {
         Self::PendulumHeld,
     ];
 
-    /// Whether the arm's encoder fails, permanently or for a while.
+    /// Returns whether the arm's encoder fails, permanently or for a while.
     pub fn is_of_theta_encoder(self) -> bool {
         matches!(
             self,
@@ -90,7 +90,7 @@ impl Case {
         )
     }
 
-    /// Whether a start of this case may end with this fault.
+    /// Returns whether a start of this case may end with this fault.
     #[allow(clippy::enum_glob_use)]
     pub fn names_rightly(self, fault: Fault) -> bool {
         use Fault::*;
@@ -117,14 +117,15 @@ impl Case {
             // The program reads the pendulum's count as the arm's, and a push of the arm hardly
             // changes it.
             Self::EncodersExchanged => matches!(fault, EncoderFrozen | PendulumFrozen),
-            // An operator who is told of a wrong sign would change it.
+            // An operator who reads of a wrong sign would invert a correct one.
             Self::ArmPushed | Self::PendulumHeld => {
                 !matches!(fault, WrongSignTheta | WrongSignAlpha | WrongSignMotor)
             }
         }
     }
 
-    /// Whether a hand moves or holds something; it may throw the arm into a stop by itself.
+    /// Returns whether a hand moves or holds arm or pendulum; the hand itself may throw the arm
+    /// into a stop.
     pub fn is_by_hand(self) -> bool {
         matches!(self, Self::ArmPushed | Self::PendulumHeld)
     }
@@ -138,7 +139,7 @@ pub enum Qubes {
     Near,
     /// Any Qube: motor, masses and lengths up to 20 % off; damping of the arm 0.3 to 4 times, of
     /// the pendulum 0.05 to 2 times nominal; friction, cable, dead zones and delay from none to
-    /// about 2.5 times those of `lab`.
+    /// about 2.5 times the values of `lab`.
     Far,
 }
 

@@ -29,11 +29,11 @@ struct Noted<'a> {
 impl Motion for Noted<'_> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         let now_s = self.clock.now_ns() as f64 * 1e-9;
-        let was = self.tick.control_state();
+        let previous = self.tick.control_state();
         let output = self.tick.decide(input);
         if self.tick.control_state() == ControlState::Running {
             self.ran_s = Some((self.ran_s.map_or(now_s, |(first, _)| first), now_s));
-        } else if was == ControlState::Running
+        } else if previous == ControlState::Running
             && let Some((_, last_s)) = &mut self.ran_s
         {
             *last_s = now_s;
@@ -74,7 +74,7 @@ pub fn rollout(
     device.hello().expect("an emulated Qube answers");
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
-    drive(&mut device, &clock, &mut homing, None, &stop).expect("it arms");
+    drive(&mut device, &clock, &mut homing, None, &stop).expect("an armed board");
     let calibration = homing.calibration()?;
     let settings = TickSettings {
         calibration,
@@ -84,14 +84,14 @@ pub fn rollout(
     };
     let mut tick = Tick::new(&settings, policy.clone());
     let mut noted = Noted { tick: &mut tick, clock: clock.clone(), ran_s: None };
-    let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("it arms");
+    let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("an armed board");
     let ran_s = noted.ran_s;
     let sample = device.sample(clock.now_ns() + 6_000_000).ok()?;
     let zero_off_rad = (calibration.angles_rad(&sample).0 - wire.state().theta).abs();
     Some(Outcome { ending: report.outcome.ending, ran_s: ran_s?, zero_off_rad })
 }
 
-/// A fault of the emulated Qube from this time on, s.
+/// Function from an onset, s of the emulated Qube's time, to a fault that begins then.
 type FaultFrom = fn(f64) -> EmulatorFault;
 
 /// The kinds of freeze of the arm's encoder: a name, and the fault as a function of its onset.
@@ -116,12 +116,13 @@ impl Freeze {
         is_fault.then_some(1e3 * (self.outcome.ran_s.1 - self.onset_s).max(0.0))
     }
 
-    /// Whether a fault other than the frozen encoder ended the rollout.
+    /// Returns whether a fault other than the frozen encoder ended the rollout.
     pub fn is_named_otherwise(&self) -> bool {
         matches!(self.outcome.ending, Ending::Fault(fault) if fault != Fault::EncoderFrozen)
     }
 
-    /// Whether the rollout counts as a result although its zero is wrong by more than 0.05 rad.
+    /// Returns whether the rollout counts as a result although its zero is wrong by more than
+    /// 0.05 rad.
     pub fn counts_wrongly(&self) -> bool {
         self.found_ms().is_none() && self.outcome.zero_off_rad > 0.05
     }
@@ -165,7 +166,8 @@ pub fn qubes() -> [(&'static str, EmulatorSettings); 5] {
 /// The shipped policy for an unknown Qube and the classical controller.
 pub fn policies() -> [(&'static str, Policy); 2] {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let robust = Policy::load(&root.join("policies/robust.safetensors")).expect("the policy");
+    let robust =
+        Policy::load(&root.join("policies/robust.safetensors")).expect("the shipped policy");
     let classical = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     [("robust", robust), ("classical", classical)]
 }

@@ -16,13 +16,13 @@ const FASTEST_CONTACT_RAD_S: f64 = 2.0;
 const FOUND_WITHIN_S: f64 = 0.3;
 
 impl Trial {
-    /// Whether every contact with a stop while homing or settling was as slow as is accepted, or
-    /// at most 1 % faster than with the amplifier off.
+    /// Returns whether no contact with a stop while homing or settling was faster than
+    /// [`FASTEST_CONTACT_RAD_S`], or more than 1 % faster than with the amplifier off.
     pub fn is_harmless(&self) -> bool {
         self.contact_before_policy_rad_s <= FASTEST_CONTACT_RAD_S.max(1.01 * self.contact_off_rad_s)
     }
 
-    /// Whether the fault was named correctly, or none was named and none must be.
+    /// Returns whether the fault was named correctly, or none was named and none must be.
     pub fn is_named_rightly(&self, start: &Start) -> bool {
         match self.ending {
             Ending::Fault(fault) => start.case.names_rightly(fault),
@@ -30,8 +30,8 @@ impl Trial {
         }
     }
 
-    /// Whether a stop was touched too fast and not by a hand, the fault was not named correctly, or
-    /// a failing arm encoder led to a false result.
+    /// Returns whether a stop was touched too fast and not by a hand, the fault was not named
+    /// correctly, or a failing arm encoder led to a false result.
     pub fn falls_short(&self, start: &Start) -> bool {
         !self.is_harmless() && !start.case.is_by_hand()
             || !self.is_named_rightly(start)
@@ -40,7 +40,7 @@ impl Trial {
 }
 
 impl Start {
-    /// Whether this start must end with a fault.
+    /// Returns whether this start must end with a fault.
     fn must_be_named(&self) -> bool {
         !matches!(
             self.case,
@@ -55,7 +55,7 @@ impl Start {
     }
 }
 
-/// A line of the table: the case, counts and extremes over its starts, and how they ended.
+/// A line of the table: the case, counts and extremes over its starts, and their endings.
 pub struct Row {
     case: Case,
     starts: usize,
@@ -67,8 +67,8 @@ pub struct Row {
     named_rightly: usize,
     /// Number of rollouts that counted although the arm's zero was wrong.
     pub false_results: u32,
-    /// Number of starts whose arm's encoder failed in a rollout and whose motor was on for longer
-    /// than is accepted.
+    /// Number of starts whose arm's encoder failed in a rollout and whose motor was on for more
+    /// than [`FOUND_WITHIN_S`] after that.
     pub slow_to_find: usize,
     struck_running: usize,
     slowest_homing_s: f64,

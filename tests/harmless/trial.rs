@@ -99,7 +99,7 @@ impl Notes {
         let clock = self.clock.clone();
         let stop = AtomicBool::new(false);
         let mut watched = Watched { motion, notes: self };
-        let report = drive(device, &clock, &mut watched, None, &stop).expect("it arms");
+        let report = drive(device, &clock, &mut watched, None, &stop).expect("an armed board");
         report.outcome.ending
     }
 
@@ -168,10 +168,10 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     let mut off_s = seconds(&clock);
     let mut false_results = 0;
     if ending == Ending::Completed {
-        let rig = homing.calibration().expect("it homes");
+        let calibration = homing.calibration().expect("a homed Qube");
         while seconds(&clock) < LONGEST_S {
             let settings = TickSettings {
-                calibration: rig,
+                calibration,
                 start_theta_rad: 0.05,
                 ..RolloutPlan::single("test", "test").header().settings
             };
@@ -183,8 +183,8 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
                 break;
             }
             // An encoder that fails while the arm is at rest loses no counts: the zero decides.
-            let sample = device.sample(clock.now_ns() + 6_000_000).expect("it answers");
-            let zero_error_rad = rig.angles_rad(&sample).0 - notes.wire.state().theta;
+            let sample = device.sample(clock.now_ns() + 6_000_000).expect("a sample of the Qube");
+            let zero_error_rad = calibration.angles_rad(&sample).0 - notes.wire.state().theta;
             let strikes = start.settings.fault.is_some() && notes.ran_until_s > start.fault_onset_s;
             false_results += u32::from(strikes && zero_error_rad.abs() > ZERO_WITHIN_RAD);
             // A session needs this time between two rollouts.
@@ -209,7 +209,7 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
 /// starts beside a stop, from the instant of the fault if the motor dies. It is 0 in all other
 /// cases, and if the start itself had no contact while homing or settling.
 ///
-/// It is computed with the same ticks, because a falling pendulum amplifies every rounding.
+/// It is computed with the same ticks, because a falling pendulum amplifies every rounding error.
 fn contact_off_rad_s(start: &Start, trial: &Trial) -> f64 {
     let from_s = match start.case {
         Case::MotorDeadLater => start.fault_onset_s,

@@ -1,23 +1,23 @@
 //! A library for tests with the C interface of the vendor's HIL library, over the emulator's plant
 //! in real time.
 //!
-//! It is as unkind as the vendor's header allows: after the watchdog has expired, every read and
+//! It is as strict as the vendor's header allows: after the watchdog has expired, every read and
 //! write is refused until it is cleared, and clearing restores the outputs from before the expiry.
 //! A call from a second thread ends the process. Environment variables choose faults. Every change
-//! of the amplifier and the beginning of every fault is written to a file, which shows how the
-//! motor was left:
+//! of the amplifier and the beginning of every fault is written to a file, which shows the last
+//! state of the motor:
 //!
 //! | variable | meaning |
 //! | --- | --- |
 //! | `QUBE_TEST_HIL_STATE` | file for the amplifier's state and the number of calls of each function |
 //! | `QUBE_TEST_HIL_FAULT` | faults as described below, several with `+` between |
-//! | `QUBE_TEST_HIL_WATCHDOG` | `cuts` (default), `keeps` the motor's voltage, `none`, `never` expires |
+//! | `QUBE_TEST_HIL_WATCHDOG` | `cuts` the voltage (default), `keeps` it, `never` expires, `none`: is absent |
 //! | `QUBE_TEST_HIL_CARD` | the card type that is plugged in (default `qube_servo2_usb`) |
 //! | `QUBE_TEST_HIL_SIGNS` | any of `theta`, `alpha`, `motor`: inverted |
 //!
 //! A fault has the form `FUNCTION:KIND[:AT[:TIMES]]`: calls of FUNCTION from the AT-th on (the
 //! first by default) have a fault of this KIND, TIMES of them (all by default). Kinds:
-//! `error=CODE`, `hang=MS`, `stale` (the counts change no more), `jump=COUNTS` of the arm,
+//! `error=CODE`, `hang=MS`, `stale` (the counts stay the same), `jump=COUNTS` of the arm,
 //! `jump-alpha=COUNTS`, `unplug=MS`.
 
 use std::collections::BTreeMap;
@@ -44,7 +44,7 @@ const HANDLE: *mut c_void = std::ptr::without_provenance_mut(0x51);
 
 static CARD: Mutex<Option<Card>> = Mutex::new(None);
 
-/// Interval at which the Qube's own watchdog looks at the time.
+/// Interval at which the Qube's own watchdog reads the clock.
 const LOOK: Duration = Duration::from_millis(2);
 
 /// Starts the Qube's watchdog, which works while no function is called and while one hangs.
@@ -124,7 +124,7 @@ impl Fault {
         let function = parts.next().unwrap_or_default().to_owned();
         let kind = parts.next().expect("FUNCTION:KIND");
         let (kind, value) = kind.split_once('=').unwrap_or((kind, "0"));
-        let number = |part: Option<&str>, usual| part.map_or(usual, |it| it.parse().unwrap());
+        let number = |part: Option<&str>, usual| part.map_or(usual, |text| text.parse().unwrap());
         Self {
             function,
             kind: kind.to_owned(),
@@ -138,7 +138,7 @@ impl Fault {
 impl Card {
     fn new() -> Self {
         let signs = variable("QUBE_TEST_HIL_SIGNS").unwrap_or_default();
-        let sign = |name: &str| if signs.split(',').any(|it| it == name) { -1 } else { 1 };
+        let sign = |name: &str| if signs.split(',').any(|sign| sign == name) { -1 } else { 1 };
         let watchdog = match variable("QUBE_TEST_HIL_WATCHDOG").as_deref() {
             None | Some("cuts") => Watchdog::Cuts,
             Some("keeps") => Watchdog::Keeps,
@@ -175,12 +175,12 @@ impl Card {
     /// Advances the plant and the watchdog to the present time.
     fn go_on(&mut self) {
         let now_us = self.now_us();
-        if let Some((timeout_us, fed_us)) = self.running
+        if let Some((timeout_us, reloaded_us)) = self.running
             && !self.is_expired
-            && now_us >= fed_us + timeout_us
+            && now_us >= reloaded_us + timeout_us
             && self.watchdog != Watchdog::Never
         {
-            self.plant.advance_to(fed_us + timeout_us);
+            self.plant.advance_to(reloaded_us + timeout_us);
             self.is_expired = true;
             self.before = (self.is_enabled, self.voltage_v);
             if self.watchdog == Watchdog::Cuts {
@@ -271,8 +271,8 @@ fn call<T>(
             "unplug" if number == fault.at => {
                 let away = Duration::from_millis(fault.value as u64);
                 card.unplugged_until = Some(Instant::now() + away);
-                // The vendor does not say what the amplifier of a Qube without its cable does; here
-                // it is off.
+                // The vendor does not document the amplifier's state on a Qube without its cable;
+                // here it is off.
                 (card.is_enabled, card.voltage_v, card.running) = (false, 0.0, None);
                 card.is_open = false;
                 card.drive();
@@ -316,7 +316,7 @@ fn code(result: Result<c_int, c_int>) -> c_int {
     result.unwrap_or_else(|code| code)
 }
 
-/// See the vendor's header.
+/// Opens the card if it has this type, is plugged in and is not open.
 ///
 /// # Safety
 /// Both texts end with a null byte; `handle` may be written.
@@ -345,14 +345,14 @@ pub unsafe extern "C" fn hil_open(
     code(opened)
 }
 
-/// See the vendor's `hil.h`.
+/// Returns 1 if this is the handle of the open card, else 0.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_is_valid(handle: *mut c_void) -> c_char {
     let is_valid = call("hil_is_valid", |card| Ok(card.is_open && handle == HANDLE));
     c_char::from(is_valid.unwrap_or(false))
 }
 
-/// See the vendor's `hil.h`.
+/// Closes the card and stops its watchdog.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_close(_handle: *mut c_void) -> c_int {
     code(call("hil_close", |card| {
@@ -363,7 +363,7 @@ pub extern "C" fn hil_close(_handle: *mut c_void) -> c_int {
     }))
 }
 
-/// See the vendor's header.
+/// Accepts options that begin with a dead-band compensation of 0 V, and refuses all others.
 ///
 /// # Safety
 /// `options` has `size` bytes, of which the last is null.
@@ -382,7 +382,7 @@ pub unsafe extern "C" fn hil_set_card_specific_options(
     }))
 }
 
-/// See the vendor's header.
+/// Reads the motor's current, the encoders, the digital inputs and the tachometer.
 ///
 /// # Safety
 /// Each array of channels and each buffer has the length that is passed.
@@ -433,7 +433,7 @@ pub unsafe extern "C" fn hil_read(
     }))
 }
 
-/// See the vendor's header.
+/// Sets the motor's voltage.
 ///
 /// # Safety
 /// `buffer` points to one value.
@@ -453,7 +453,7 @@ pub unsafe extern "C" fn hil_write_analog(
     }))
 }
 
-/// See the vendor's header.
+/// Enables or disables the amplifier.
 ///
 /// # Safety
 /// `buffer` points to one value.
@@ -474,7 +474,7 @@ pub unsafe extern "C" fn hil_write_digital(
     }))
 }
 
-/// See the vendor's `hil.h`.
+/// Refuses to set the voltage that the motor gets when the watchdog expires.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_watchdog_set_analog_expiration_state(
     _handle: *mut c_void,
@@ -486,7 +486,7 @@ pub extern "C" fn hil_watchdog_set_analog_expiration_state(
     code(call_open("hil_watchdog_set_analog_expiration_state", |_| Err(-591)))
 }
 
-/// See the vendor's `hil.h`.
+/// Accepts any state of the enable output for an expired watchdog.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_watchdog_set_digital_expiration_state(
     _handle: *mut c_void,
@@ -497,7 +497,7 @@ pub extern "C" fn hil_watchdog_set_digital_expiration_state(
     code(call_open("hil_watchdog_set_digital_expiration_state", |_| Ok(0)))
 }
 
-/// See the vendor's `hil.h`.
+/// Starts the watchdog with this timeout, s.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_watchdog_start(_handle: *mut c_void, timeout_s: f64) -> c_int {
     start_watchdog();
@@ -510,7 +510,7 @@ pub extern "C" fn hil_watchdog_start(_handle: *mut c_void, timeout_s: f64) -> c_
     }))
 }
 
-/// See the vendor's `hil.h`.
+/// Restarts the time of the watchdog; returns 0 if it has expired.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_watchdog_reload(_handle: *mut c_void) -> c_int {
     code(call_open("hil_watchdog_reload", |card| {
@@ -518,20 +518,20 @@ pub extern "C" fn hil_watchdog_reload(_handle: *mut c_void) -> c_int {
             return Ok(0);
         }
         let now_us = card.now_us();
-        if let Some((_, fed_us)) = &mut card.running {
-            *fed_us = now_us;
+        if let Some((_, reloaded_us)) = &mut card.running {
+            *reloaded_us = now_us;
         }
         Ok(1)
     }))
 }
 
-/// See the vendor's `hil.h`.
+/// Returns 1 if the watchdog has expired, else 0.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_watchdog_is_expired(_handle: *mut c_void) -> c_int {
     code(call_open("hil_watchdog_is_expired", |card| Ok(c_int::from(card.is_expired))))
 }
 
-/// See the vendor's `hil.h`.
+/// Clears an expired watchdog and restores the outputs from before its expiry.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_watchdog_clear(_handle: *mut c_void) -> c_int {
     code(call_open("hil_watchdog_clear", |card| {
@@ -545,7 +545,7 @@ pub extern "C" fn hil_watchdog_clear(_handle: *mut c_void) -> c_int {
     }))
 }
 
-/// See the vendor's `hil.h`.
+/// Stops the watchdog.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_watchdog_stop(_handle: *mut c_void) -> c_int {
     code(call_open("hil_watchdog_stop", |card| {
@@ -554,7 +554,7 @@ pub extern "C" fn hil_watchdog_stop(_handle: *mut c_void) -> c_int {
     }))
 }
 
-/// See the vendor's header.
+/// Copies the card's serial number or firmware version to the buffer.
 ///
 /// # Safety
 /// The buffer has `size` bytes.
@@ -570,7 +570,7 @@ pub unsafe extern "C" fn hil_get_string_property(
     code(call_open("hil_get_string_property", |_| Ok(unsafe { copy(text, buffer, size) })))
 }
 
-/// See the vendor's header.
+/// Copies the text of an error code to the buffer.
 ///
 /// # Safety
 /// The buffer has `size` bytes.

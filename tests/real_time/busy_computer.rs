@@ -18,7 +18,7 @@ const AGAIN: u32 = 6;
 /// than the scheduler lets a ready thread wait on a computer that keeps up.
 pub const STANDS_STILL: Duration = Duration::from_millis(15);
 
-/// Interval at which the witness wakes.
+/// Interval at which a thread that measures stalls wakes.
 const NAP: Duration = Duration::from_millis(2);
 
 /// Time without a stall after which the computer counts as calm.
@@ -61,7 +61,7 @@ pub fn wait_for_calm() {
     }
 }
 
-/// The result of a test, and the longest stall of a processor meanwhile.
+/// Runs a test; returns its result, and the longest stall of a processor meanwhile.
 pub fn witnessed(test: &impl Fn()) -> (std::thread::Result<()>, Duration) {
     let is_over = AtomicBool::new(false);
     let processors = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());

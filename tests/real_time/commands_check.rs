@@ -19,7 +19,7 @@ use crate::program::program;
 use crate::shared::isolate;
 
 fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
-    program(directory, arguments).env("TMPDIR", directory).output().expect("it runs")
+    program(directory, arguments).env("TMPDIR", directory).output().expect("the program runs")
 }
 
 fn stdout(output: &Output) -> String {
@@ -97,7 +97,7 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
             assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
             assert!(output.stdout.is_empty());
             let begun = directory.path().join("begun/experiment.toml");
-            assert!(!begun.exists(), "nothing was begun");
+            assert!(!begun.exists(), "an experiment was begun");
             for word in words {
                 let stderr = stderr(&output);
                 assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
@@ -107,7 +107,7 @@ fn a_port_with_something_else_behind_it_is_bad_input() {
     let qube_is_refused = |fault: &str, words: &[&str]| {
         in_real_time(|| refused(port(&with_fault(fault)), words));
     };
-    // A device of another kind, or at another baud rate, says something; a modem echoes.
+    // A device of another kind, or at another baud rate, sends other bytes; a modem echoes.
     let talker_is_refused = |echoes: bool| {
         in_real_time(|| {
             let (mut master, slave) = serialport::TTYPort::pair().unwrap();
@@ -188,9 +188,10 @@ fn a_check_names_the_doubt_about_its_qube_before_it_moves_the_arm() {
         let output = qube_hil(directory.path(), &["check", "--device", port(&qube)]);
         assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
         let told = stderr(&output);
-        let places = ["is in doubt: the arm hardly turned", "checking "].map(|it| told.find(it));
+        let places =
+            ["is in doubt: the arm hardly turned", "checking "].map(|words| told.find(words));
         assert!(places.is_sorted() && places[0].is_some(), "{told}");
-        assert!(doubts.load(&board).is_some(), "a check ends no doubt");
+        assert!(doubts.load(&board).is_some(), "the check ended the doubt");
     });
 }
 

@@ -38,8 +38,8 @@ fn run(directory: &Path, out: &str, more: &[&str]) -> (Output, Value, String) {
 const UNPLUGGED_S: [f64; 4] = [0.7, 2.0, 6.0, 20.0];
 
 /// Calls `run` on an emulated Qube whose cable comes out while the program homes it. `back` is
-/// empty if the cable stays out, or `+S`: it is plugged in again after S seconds. A busy computer
-/// may not have begun to home by then: the cable of the next run comes out later.
+/// empty if the cable stays out, or `+S` if it is plugged in again after S seconds. If homing has
+/// not begun by then on a busy computer, the cable of the next run comes out later.
 fn run_unplugged(back: &str, more: &[&str]) -> (TempDir, ServedQube, (Output, Value, String)) {
     let mut last = String::new();
     for after_s in UNPLUGGED_S {
@@ -103,7 +103,8 @@ fn a_doubt_outlives_the_program_until_somebody_has_acknowledged_it() {
 fn a_cable_that_is_plugged_in_again_is_found_by_its_name_and_the_run_goes_on() {
     in_real_time(|| {
         let (_directory, _qube, (output, result, told)) = run_unplugged("+2", &["--skip-check"]);
-        // A busy computer may end the next homing, or the rollout; the program then says so.
+        // A busy computer may end the next homing, or the rollout; the program then reports a busy
+        // computer.
         let is_late = result["ended_by"]["consequence"] == "try_again"
             && format!("{result} {told}").contains(TOO_LATE);
         assert!(code(&output) == Some(0) || is_late, "{result} {told}");

@@ -58,7 +58,7 @@ impl Tmux {
         String::from_utf8_lossy(&self.tmux(&["capture-pane", "-p"]).stdout).into_owned()
     }
 
-    /// Whether the window shows any colour.
+    /// Returns whether the window shows any colour.
     fn has_colours(&self) -> bool {
         let shown = self.tmux(&["capture-pane", "-p", "-e"]).stdout;
         let shown = String::from_utf8_lossy(&shown).into_owned();
@@ -170,7 +170,7 @@ fn a_run_shows_its_rollouts_reacts_to_keys_and_leaves_the_terminal_clean() {
         tmux.press("p");
         tmux.wait_for("the policy has the motor");
 
-        // q asks first.
+        // The key q asks first.
         tmux.press("q");
         tmux.wait_for("Stop now and quit?");
         tmux.press("n");

@@ -41,7 +41,7 @@ impl Terminal {
         let stdio = || Stdio::from(screen.try_clone().unwrap());
         let mut command = program(directory, arguments);
         command.stdin(stdio()).stdout(stdio()).stderr(stdio());
-        // SAFETY: both calls are system calls without memory of their own.
+        // SAFETY: both calls are system calls, which allocate no memory.
         unsafe {
             command.pre_exec(|| {
                 rustix::process::setsid()?;
@@ -66,14 +66,14 @@ impl Terminal {
         }
     }
 
-    fn wait_until(&mut self, what: &str, mut is_so: impl FnMut(&mut Self) -> bool) {
+    fn wait_until(&mut self, awaited: &str, mut condition: impl FnMut(&mut Self) -> bool) {
         let begun = Instant::now();
         loop {
             self.look();
-            if is_so(self) {
+            if condition(self) {
                 return;
             }
-            assert!(begun.elapsed() < PATIENCE, "{what}: {}", self.shown);
+            assert!(begun.elapsed() < PATIENCE, "{awaited}: {}", self.shown);
             std::thread::sleep(Duration::from_millis(10));
         }
     }
@@ -89,11 +89,11 @@ impl Terminal {
 
     fn exit_code(&mut self) -> Option<i32> {
         let mut status = None;
-        self.wait_until("it ends", |it| {
+        self.wait_until("the end of the program", |it| {
             status = it.child.try_wait().unwrap();
             status.is_some()
         });
-        // It may have written its last lines after the last look.
+        // The program may have written its last lines after the last look.
         self.look();
         status.and_then(|status| status.code())
     }

@@ -23,7 +23,7 @@ const COMMANDS: [&[&str]; 3] = [
     &["session", "--method", "posterior", "--out", "out"],
 ];
 
-/// A recording in this folder or below it with more than 20 ticks.
+/// Finds a recording in this folder or below it with more than 20 ticks.
 fn rollout_under_way(folder: &Path) -> Option<PathBuf> {
     let entries = std::fs::read_dir(folder).ok()?;
     entries.filter_map(|entry| Some(entry.ok()?.path())).find_map(|path| {
@@ -43,7 +43,7 @@ fn ctrl_c_does_not_hide_a_motor_that_stays_armed() {
             let folder = tempfile::tempdir().unwrap();
             let fault = format!("ignored-disarm@{IGNORED_AFTER_S}");
             let _qube = ServedQube::start(folder.path(), 5, Some(&fault));
-            // The board's clock runs by now.
+            // The board's clock has started.
             let begun = Instant::now();
             let device = folder.path().join("qube");
             let mut arguments = arguments.to_vec();

@@ -22,24 +22,24 @@ const AGAIN: u32 = 6;
 /// runs would make it late again.
 static RUNS: RwLock<()> = RwLock::new(());
 
-/// Numbers of the calls at which a fault begins, of a function that switches the amplifier: at the
-/// start, around homing, around the rollout.
+/// Call numbers at which faults begin, for the functions that switch the amplifier: at the start,
+/// around homing, around the rollout.
 const RARE: &[u64] = &[1, 2, 4];
 
-/// Numbers of the calls at which a fault begins, of the functions that every arm request calls:
-/// once for homing, once for the rollout.
+/// Call numbers at which faults begin, for the functions that every arm request calls: once for
+/// homing, once for the rollout.
 const ARMS: &[u64] = &[1, 2];
 
-/// Numbers of the calls at which a fault begins, of the function that only a hello calls, twice.
+/// Call numbers at which faults begin, for the function that only a hello calls, twice.
 const TEXTS: &[u64] = &[1, 2];
 
-/// Numbers of the calls at which a fault begins, of the function that reads a sample in every tick.
+/// Call numbers at which faults begin, for the function that reads a sample in every tick.
 const FREQUENT: &[u64] = &[1, 260, 420];
 
-/// Numbers of the calls at which a fault begins, of the functions that every act calls.
+/// Call numbers at which faults begin, for the functions that every act calls.
 const ACTS: &[u64] = &[1, 3, 150];
 
-/// The functions, and the numbers of the calls from which each fails, counted from 1.
+/// The functions, and the call numbers from which each fails, counted from 1.
 const FUNCTIONS: [(&str, &[u64]); 13] = [
     ("hil_open", &[1]),
     ("hil_read", FREQUENT),
@@ -111,18 +111,18 @@ fn run(fault: &str) -> Ended {
         }
         println!(
             "{fault}: begun again, {again} of at most {AGAIN} times, because the run ended before \
-             it: {ended:?}"
+             the fault: {ended:?}"
         );
         let _alone = RUNS.write().unwrap_or_else(PoisonError::into_inner);
         attempt = run_once(fault);
     }
     let (ended, is_met) = attempt;
-    assert!(is_met, "{fault}: the run ended before it {} times: {ended:?}", AGAIN + 1);
+    assert!(is_met, "{fault}: the run ended before the fault {} times: {ended:?}", AGAIN + 1);
     ended
 }
 
 /// Makes a short run under one fault and panics, naming the fault, unless the run ends safely.
-/// Returns how it ended, and whether it reached the fault.
+/// Returns the ended process, and whether the run reached the fault.
 fn run_once(fault: &str) -> (Ended, bool) {
     // Only the card `qube_servo3_usb` has options.
     let card =
@@ -153,7 +153,7 @@ fn run_once(fault: &str) -> (Ended, bool) {
     (ended, is_met)
 }
 
-/// Whether the call at which a fault begins was reached.
+/// Returns whether the call at which a fault begins was reached.
 fn is_met(panel: &Panel, fault: &str) -> bool {
     let mut parts = fault.split(':');
     let function = parts.next().unwrap();
@@ -161,13 +161,14 @@ fn is_met(panel: &Panel, fault: &str) -> bool {
     panel.calls(function) >= at
 }
 
-/// Whether a fault stays once it has begun. No run can then succeed, unless the fault is of a
-/// function in [`SPARED`].
+/// Returns whether a fault stays once it has begun. No run can then succeed, unless the fault is of
+/// a function in [`SPARED`].
 fn lasts(fault: &str) -> bool {
     fault.split('+').all(|fault| fault.split(':').count() == 3)
 }
 
-/// Makes a run under each of these faults, [`AT_ONCE`] at a time; returns how each ended.
+/// Makes a run under each of these faults, [`AT_ONCE`] at a time; returns each fault with its ended
+/// process.
 fn run_all(faults: Vec<String>) -> Vec<(String, Ended)> {
     library();
     let left = Mutex::new(faults.into_iter());
@@ -189,16 +190,16 @@ fn run_all(faults: Vec<String>) -> Vec<(String, Ended)> {
 
 #[test]
 fn a_library_that_fails_for_good_leaves_the_amplifier_off() {
-    must_end_safe(faults(false));
+    must_end_safely(faults(false));
 }
 
 #[test]
-#[ignore = "five minutes"]
+#[ignore = "takes five minutes"]
 fn a_library_that_fails_anywhere_in_any_way_leaves_the_amplifier_off() {
-    must_end_safe(faults(true));
+    must_end_safely(faults(true));
 }
 
-fn must_end_safe(faults: Vec<String>) {
+fn must_end_safely(faults: Vec<String>) {
     let number = faults.len();
     let ends = run_all(faults);
     assert_eq!(ends.len(), number);

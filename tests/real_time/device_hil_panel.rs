@@ -15,9 +15,9 @@ fn refused(panel: &Panel, ended: &Ended, words: &[&str]) {
         assert!(ended.told.contains(word), "{word}: {}", ended.told);
     }
     let said = ended.told.lines().filter(|line| line.starts_with("qube-hil: ")).count();
-    assert_eq!(said, 1, "one sentence: {}", ended.told);
+    assert_eq!(said, 1, "the program printed {said} sentences: {}", ended.told);
     if let Some(state) = panel.amplifier() {
-        assert!(state.contains("\never enabled false\n"), "nothing was armed: {state}");
+        assert!(state.contains("\never enabled false\n"), "the card was armed: {state}");
     }
 }
 
@@ -111,7 +111,7 @@ fn guard_box_alone_does_not_switch_off_the_guard_of_a_card() {
     let arguments =
         ["run", "--policy", "classical", "--device", "hil", "--guard", "box", "--out", "runs"];
     refused(&panel, &panel.run(&arguments), &["--accept-hard-stop"]);
-    assert!(panel.amplifier().is_none(), "the card was not even opened");
+    assert!(panel.amplifier().is_none(), "the card was opened");
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn the_doctor_says_whether_the_library_is_here_and_the_card_answers() {
     assert!(ended.out.contains("panel library") && ended.out.contains("card hil"), "{ended:?}");
     assert!(ended.out.contains("answers; a sample takes"), "{ended:?}");
     panel.must_be_off();
-    assert_eq!(panel.calls("hil_watchdog_start"), 0, "nothing was armed");
+    assert_eq!(panel.calls("hil_watchdog_start"), 0, "the card was armed");
     let away = Panel::new(&[("QUBE_TEST_HIL_FAULT", "hil_open:error=108")]);
     let ended = away.run(&["doctor", "--seconds", "1", "--device", "hil", "--json"]);
     assert_eq!(ended.code, Some(1), "{ended:?}");
@@ -129,7 +129,7 @@ fn the_doctor_says_whether_the_library_is_here_and_the_card_answers() {
 }
 
 #[test]
-#[ignore = "half a minute by the wall clock"]
+#[ignore = "takes half a minute by the wall clock"]
 fn a_check_learns_the_signs_and_writes_the_card_into_the_file() {
     in_real_time(|| {
         let panel = Panel::new(&[("QUBE_TEST_HIL_SIGNS", "alpha")]);
@@ -166,7 +166,7 @@ fn a_rollout_is_recorded_and_comes_out_again_bit_for_bit() {
 }
 
 #[test]
-#[ignore = "two minutes by the wall clock"]
+#[ignore = "takes two minutes by the wall clock"]
 fn a_session_identifies_a_card_and_its_recordings_come_out_again() {
     const SMALL: &str = "seed = 5\n\
         [extent]\ninitial_candidates = 1\niterations = 0\nrollouts = 1\nverification_rollouts = 1\n\
@@ -197,11 +197,11 @@ fn a_session_identifies_a_card_and_its_recordings_come_out_again() {
 fn a_card_without_a_watchdog_is_not_switched_on() {
     let panel = Panel::new(&[("QUBE_TEST_HIL_WATCHDOG", "none")]);
     refused(&panel, &panel.run(&["check", "--device", "hil"]), &["has no watchdog"]);
-    assert!(panel.amplifier().is_some(), "the card was opened");
+    assert!(panel.amplifier().is_some(), "the card was not opened");
 }
 
 #[test]
-#[ignore = "a minute by the wall clock"]
+#[ignore = "takes a minute by the wall clock"]
 fn a_watchdog_that_leaves_the_motor_on_is_found_before_anything_else_moves() {
     in_real_time(|| {
         for (watchdog, words, code) in [

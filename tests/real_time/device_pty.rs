@@ -15,7 +15,7 @@ use qube_hil::device::emulator::{EmulatedQube, EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, LinkFault, SerialLink, Tty};
 use qube_hil::qube::Measurement;
 
-/// Time that suffices on any computer that is merely busy.
+/// Time within which even a busy computer finishes a step of a test, ns.
 const PATIENCE_NS: Nanoseconds = 5_000_000_000;
 
 fn qube(fault: Option<EmulatorFault>) -> EmulatedQube {
@@ -70,9 +70,9 @@ fn an_emulated_qube_is_reached_like_a_real_one() {
     assert!(!sample(&mut link).status.armed);
 }
 
-/// `tests/real_time/preflight_conformance.rs` tests the watchdog's timing.
 #[test]
 fn the_watchdog_switches_the_motor_off_and_it_stays_off() {
+    // `tests/real_time/preflight_conformance.rs` tests the watchdog's timing.
     let qube = qube(None);
     let mut link = open(&qube);
     arm(&mut link);
@@ -105,7 +105,7 @@ fn the_host_may_close_and_open_the_port_again() {
 }
 
 /// A killed host leaves the port in exclusive mode; only root could open it again if the emulator
-/// did not take that back. (Tests often run as root, so the test reads the mode itself.)
+/// did not end that mode. (Tests often run as root, so the test reads the mode itself.)
 #[test]
 fn a_killed_host_does_not_lock_the_port() {
     let qube = qube(None);
@@ -254,7 +254,7 @@ fn a_second_name_that_anything_else_has_is_refused_and_stays() {
         let error = second.link_as(&at(name)).unwrap_err().to_string();
         assert!(error.contains(name) && error.contains("choose another name"), "{error}");
     }
-    // The next pty may have the number of the one that is gone.
+    // The next pty may have the number of the closed one.
     symlink(second.port(), at("of-its-number")).unwrap();
     for name in ["of-its-number", "left"] {
         second.link_as(&at(name)).unwrap();

@@ -1,5 +1,5 @@
 //! Tests the live view of running commands: the page beside a rollout or a training, and a stop
-//! that comes from there.
+//! that comes from the page.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -30,7 +30,7 @@ impl Watched {
         let mut line = String::new();
         let host = loop {
             line.clear();
-            assert!(told.read_line(&mut line).unwrap() > 0, "it says no address");
+            assert!(told.read_line(&mut line).unwrap() > 0, "the command prints no address");
             if let Some((_, url)) = line.split_once("live view: http://") {
                 break url.trim().trim_end_matches('/').to_owned();
             }
@@ -46,7 +46,7 @@ impl Watched {
     }
 
     /// Waits until the page's events contain this text.
-    fn hears(&self, text: &str) {
+    fn wait_for_event(&self, text: &str) {
         let mut stream = self.request("GET /events HTTP/1.1");
         let (mut all, mut part, begun) = (Vec::new(), [0; 4096], Instant::now());
         while !String::from_utf8_lossy(&all).contains(text) {
@@ -101,7 +101,7 @@ fn the_page_stops_a_run_and_its_recording_is_whole() {
         let arguments =
             ["run", "--policy", "classical", "--rollouts", "9", "--out", "run", "--live", "0"];
         let watched = Watched::start(directory.path(), &arguments);
-        watched.hears("event: ticks");
+        watched.wait_for_event("event: ticks");
         watched.stop();
         // A Ctrl-C after the page's stop does not end the program before the arm is braked.
         let process = rustix::process::Pid::from_child(&watched.child);
@@ -140,7 +140,7 @@ fn the_page_stops_a_training_session() {
     let directory = tempfile::tempdir().unwrap();
     let arguments = ["session", "--clock", "virtual", "--out", "s", "--live", "127.0.0.1:0"];
     let watched = Watched::start(directory.path(), &arguments);
-    watched.hears("\"doing\":\"training candidate");
+    watched.wait_for_event("\"doing\":\"training candidate");
     watched.stop();
     let (code, told) = watched.end();
     assert_eq!(code, Some(130), "{told}");
@@ -148,7 +148,7 @@ fn the_page_stops_a_training_session() {
 }
 
 #[test]
-fn an_address_that_cannot_be_had_is_bad_usage_and_leaves_nothing() {
+fn an_address_in_use_is_bad_usage_and_leaves_nothing() {
     let directory = tempfile::tempdir().unwrap();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();

@@ -6,8 +6,8 @@ use std::sync::OnceLock;
 
 use crate::program::program;
 
-/// Path of the test library: the one that `QUBE_HIL_TEST_LIBRARY` names, or else one that is built
-/// first, because cargo builds no example for one test alone.
+/// Path of the test library, which `QUBE_HIL_TEST_LIBRARY` names; without the variable the library
+/// is built first, because cargo builds no example for one test alone.
 pub fn library() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| {

@@ -27,7 +27,7 @@ impl ServedQube {
         let qube = Self(child);
         let begun = Instant::now();
         while !directory.join("qube").exists() {
-            assert!(begun.elapsed() < PATIENCE, "no emulated Qube");
+            assert!(begun.elapsed() < PATIENCE, "the emulated Qube has no port");
             std::thread::sleep(Duration::from_millis(5));
         }
         qube

@@ -52,9 +52,9 @@ fn header() -> RolloutHeader {
     }
 }
 
-/// The process that is killed. Without the variable [`CHILD`], as a test, it does nothing.
+/// Records ticks in the process that is killed; does nothing without the variable [`CHILD`].
 #[test]
-fn child() {
+fn the_killed_process_records_ticks() {
     let Some(path) = std::env::var_os(CHILD) else { return };
     let (mut producer, consumer) = rtrb::RingBuffer::new(4096);
     let _recorder =
@@ -99,7 +99,7 @@ fn kill(ticks: usize, pause: Duration) {
     let directory = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
     let path = directory.path().join("killed.mcap");
     let mut child = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "recording_killed::child", "--nocapture"])
+        .args(["--exact", "recording_killed::the_killed_process_records_ticks", "--nocapture"])
         .env(CHILD, &path)
         .stdout(Stdio::piped())
         .stderr(Stdio::null())

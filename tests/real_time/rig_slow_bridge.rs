@@ -1,5 +1,5 @@
 //! Tests a genuine Uno's USB bridge, which passes samples on by a timer of 4.096 ms: `check`
-//! measures it, ticks wait for it, and hardly any sample is lost. A slower link is refused.
+//! measures the delay, ticks allow for it, and hardly any sample is lost. A slower link is refused.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -43,8 +43,9 @@ fn plan() -> RolloutPlan {
     }
 }
 
-/// Number of ticks without a sample if each waits this long for it, ns. The ticks drift through the
-/// phases of the bridge's timer, because computer and bridge have different clocks.
+/// Number of ticks without a sample if each waits at most this time for its sample, ns. The ticks
+/// drift through the phases of the bridge's timer, because computer and bridge have different
+/// clocks.
 fn lost_ticks(ticks: u64, sample_time_ns: u64) -> u32 {
     let clock = VirtualClock::default();
     let bridge = Some(UsbBridge::Atmega16u2);
@@ -106,9 +107,9 @@ fn a_link_without_a_bridge_keeps_the_usual_timeout_and_a_too_slow_one_is_refused
     let slow = settings(Some(UsbBridge::Slow), 1);
     let found = Rig::connect(&slow, &stop()).unwrap().check(OtherSigns::Fail).unwrap();
     let failed: Vec<&str> =
-        found.results.iter().filter(|r| r.failed()).map(|r| r.name.as_str()).collect();
+        found.results.iter().filter(|it| it.failed()).map(|it| it.name.as_str()).collect();
     assert!(failed.contains(&"latency"), "{:#?}", found.results);
-    assert!(!found.results.iter().any(|r| r.name == "homing" && r.failed()));
+    assert!(!found.results.iter().any(|it| it.name == "homing" && it.failed()));
 }
 
 #[test]

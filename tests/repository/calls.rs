@@ -6,7 +6,7 @@ use std::fs;
 use crate::documents::pages;
 use crate::tree::{root, source_files};
 
-/// A test: its path as a filter sees it, and whether it runs only when it is asked for.
+/// A test: its path, in which filters search, and whether it runs only on request.
 struct Test {
     path: String,
     is_ignored: bool,
@@ -116,8 +116,8 @@ impl Call {
     }
 }
 
-/// The commands that a script gives through functions of its own: each line that calls a function
-/// whose `cargo test` has the function's arguments, as that command.
+/// The commands of a script through its own functions whose `cargo test` has the arguments `"$@"`:
+/// for each line that calls such a function, the command with the arguments of that line.
 fn unfolded(script: &str) -> String {
     let mut commands = String::new();
     for (head, rest) in script.split("() {").zip(script.split("() {").skip(1)) {
@@ -175,7 +175,7 @@ fn a_call_that_runs_no_test_is_found() {
         // One of two filters selects nothing.
         "--lib -- --ignored every_pattern_of_an_f32 in_no_search",
         "--lib no_such_room::",
-        // The test is not ignored, or only runs when it is asked for.
+        // The test is not ignored, or runs only on request.
         "--test repository documents:: -- --ignored",
         "--test virtual_time wrong_on_many_rigs",
     ] {

@@ -62,7 +62,7 @@ fn parts(page: &Path) -> (Vec<Block>, String) {
     (blocks, prose)
 }
 
-/// Targets of the links and pictures of a page, without those on other hosts.
+/// Targets of the links and pictures of a page, without targets on other hosts.
 fn links(page: &Path) -> Vec<String> {
     let prose = parts(page).1;
     // The text of a link may span two lines, but its target may not.
@@ -88,7 +88,7 @@ fn plain(path: &Path) -> PathBuf {
 /// The target of a link as a path from the root, and its anchor.
 fn target(page: &Path, link: &str) -> (PathBuf, Option<String>) {
     let (file, anchor) =
-        link.split_once('#').map_or((link, None), |(f, a)| (f, Some(a.to_owned())));
+        link.split_once('#').map_or((link, None), |(file, anchor)| (file, Some(anchor.to_owned())));
     let path = match file {
         "" => page.to_owned(),
         file => plain(&page.parent().unwrap().join(file)),
@@ -103,8 +103,9 @@ fn anchors(page: &Path) -> BTreeSet<String> {
     headings
         .map(|heading| {
             let heading = heading.trim_start_matches('#').trim().to_lowercase();
-            let kept = heading.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
-            kept.map(|c| if c == ' ' { '-' } else { c }).collect()
+            let is_kept = |letter: &char| letter.is_alphanumeric() || " -_".contains(*letter);
+            let kept = heading.chars().filter(is_kept);
+            kept.map(|letter| if letter == ' ' { '-' } else { letter }).collect()
         })
         .collect()
 }

@@ -1,5 +1,5 @@
-//! Tests that the installer can be repeated, that it installs its files, and that its rules take
-//! only known boards for a Qube.
+//! Tests that the installer can be repeated, that it installs its files, and that its rules give
+//! only known boards the name of a Qube.
 
 use std::fs;
 use std::process::{Command, Output};
@@ -47,7 +47,7 @@ fn a_second_installation_changes_nothing() {
     assert_eq!(second.matches("unchanged:").count(), FILES.len(), "{second}");
     assert_eq!(modified(), before);
 
-    // A changed file is restored, and no other.
+    // The installer restores a changed file and leaves the others.
     let source = root().join("scripts/60-qube-hil.rules");
     let is_whole = || {
         let installed = fs::read(directory.path().join(FILES[1])).unwrap();

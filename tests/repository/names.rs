@@ -5,10 +5,10 @@ use std::fs;
 
 use crate::tree::{root, source_files};
 
-/// The types that a `mod.rs` re-exports by name, which are those that its room publishes.
+/// The types that a `mod.rs` re-exports by name: the published types of its room.
 fn published_types(page: &str) -> Vec<String> {
     let uses = page.split("\npub use ").skip(1).filter_map(|rest| rest.split_once(';'));
-    let names = uses.flat_map(|(names, _)| names.split(|c: char| !c.is_alphanumeric()));
+    let names = uses.flat_map(|(names, _)| names.split(|letter: char| !letter.is_alphanumeric()));
     let is_type =
         |name: &&str| name.starts_with(char::is_uppercase) && name.contains(char::is_lowercase);
     names.filter(is_type).map(str::to_owned).collect()

@@ -29,8 +29,8 @@ fn files_of(source: &str) -> Vec<String> {
     names.filter(|name| name.ends_with(ending)).map(|name| format!("{folder}/{name}")).collect()
 }
 
-/// Whether a command of a script writes this file, or the files of this folder: the last word of
-/// the command is its path.
+/// Returns whether a command of a script writes this file, or the files of this folder: the last
+/// word of the command is its path.
 fn is_written(script: &str, source: &str) -> bool {
     let path = source.split("/*").next().unwrap();
     let commands = script.lines().map(|line| line.trim_matches(['\'', '"', ' ']));
@@ -76,7 +76,7 @@ fn the_debian_package_holds_the_pages_that_help_texts_name() {
     let mut named = BTreeSet::new();
     for file in source_files(&root().join("src/commands")) {
         let text = fs::read_to_string(&file).unwrap();
-        // clap makes the help of doc comments.
+        // clap makes the help from doc comments.
         for comment in text.lines().filter(|line| line.trim_start().starts_with("///")) {
             let words = comment
                 .split(|letter: char| !letter.is_ascii_alphanumeric() && !"/_-.".contains(letter));
@@ -92,7 +92,7 @@ fn the_debian_package_holds_the_pages_that_help_texts_name() {
 }
 
 #[test]
-fn the_debian_package_holds_what_the_installer_installs() {
+fn the_debian_package_holds_the_files_of_the_installer() {
     let script = fs::read_to_string(root().join("scripts/install")).unwrap();
     let installed: Vec<&str> = script
         .lines()

@@ -54,9 +54,9 @@ fn printed(value: &Value, path: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-/// Whether a printed path belongs to a field of the page: it is the path of the field, or the path
-/// of an empty or missing value that would contain the field. A field that ends with `.*` stands
-/// for every path below it.
+/// Returns whether a printed path belongs to a field of the page: it is the path of the field, or
+/// the path of an empty or missing value that would contain the field. A field that ends with `.*`
+/// stands for every path below it.
 fn is_of(path: &str, field: &str) -> bool {
     let above = |rest: &str| rest.starts_with('.') || rest.starts_with("[]");
     match field.strip_suffix(".*") {
@@ -124,7 +124,7 @@ fn commands_print_the_fields_of_the_page() {
     assert_eq!(code, Some(3), "{recovered}");
     agrees("`recover`", &recovered);
 
-    // All quantities but the pendulum's damping stay fixed: one is enough to see the fields.
+    // All quantities but the pendulum's damping stay fixed: one unknown shows all fields.
     let fixed = [
         "R_m",
         "k_m",

@@ -1,6 +1,5 @@
-//! Tests that every promise in SAFETY.md names tests, each of which is a test of the source or a
-//! file that exists, that `cargo test` runs one of them, and that every test that the page's prose
-//! names exists.
+//! Tests that every promise in SAFETY.md names tests that exist, in the source or as a file, that
+//! `cargo test` runs at least one of them, and that every test that the page's prose names exists.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -49,7 +48,9 @@ fn quoted(text: &str) -> impl Iterator<Item = &str> {
 /// The lines of the tables of promises.
 fn promises(page: &str) -> Vec<&str> {
     let tables = page.split("\n| promise |").skip(1);
-    tables.flat_map(|table| table.lines().skip(2).take_while(|l| l.starts_with('|'))).collect()
+    tables
+        .flat_map(|table| table.lines().skip(2).take_while(|line| line.starts_with('|')))
+        .collect()
 }
 
 #[test]

@@ -18,7 +18,7 @@ use proc_macro2::{TokenStream, TokenTree};
 
 use crate::tree::{root, source_files};
 
-/// A room, the rooms that it may import, and those that only its tests may import in addition.
+/// A room, the rooms that it may import, and the rooms that only its tests may import in addition.
 struct Room {
     name: &'static str,
     may_import: &'static [&'static str],
@@ -31,8 +31,8 @@ const fn room(name: &'static str, may_import: &'static [&'static str]) -> Room {
 
 const EVERY_ROOM: &[&str] = &["*"];
 
-/// The permitted imports. A new way through a wall must be added here. `firmware_protocol` is the
-/// other crate of the workspace.
+/// The permitted imports. A new one must be added here. `firmware_protocol` is the other crate of
+/// the workspace.
 #[rustfmt::skip]
 const ROOMS: &[Room] = &[
     room("clock", &[]),
@@ -86,11 +86,11 @@ const ROOMS: &[Room] = &[
                       "identification", "rig", "scoring", "storage"]),
     room("experiment", &["elementary", "qube", "policy", "simulation", "learning", "jobs", "search",
                          "recording", "telemetry", "rig", "session", "scoring", "storage", "identification", "replay"]),
-    // It only draws and computes no results.
+    // This room only draws and computes no results.
     room("charts", &["qube", "simulation", "replay", "search", "surrogate"]),
-    // It shows ticks while they are recorded.
+    // This room shows ticks while they are recorded.
     room("live", &["recording", "telemetry"]),
-    // It writes a page from the results of other rooms.
+    // This room writes a page from the results of other rooms.
     Room {
         name: "report",
         may_import: &["charts", "experiment", "session", "scoring", "replay", "identification", "recording",
@@ -118,12 +118,12 @@ const WITHOUT_RANDOMNESS: &[&str] = &["elementary", "qube", "estimation", "safet
 struct Breach {
     file: PathBuf,
     line: usize,
-    what: String,
+    message: String,
 }
 
 impl fmt::Display for Breach {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{}:{}: {}", self.file.display(), self.line, self.what)
+        write!(formatter, "{}:{}: {}", self.file.display(), self.line, self.message)
     }
 }
 
@@ -240,8 +240,9 @@ fn the_library_names_no_word_of_the_command_line() {
         }
         for (line, text) in literals(&module, &fs::read_to_string(&file).unwrap()) {
             if let Some(word) = command_line_word(&text) {
-                let what = format!("`{word}` is a word of the command line: src/commands adds it");
-                breaches.push(Breach { file: file.clone(), line, what });
+                let message =
+                    format!("`{word}` is a word of the command line: src/commands adds it");
+                breaches.push(Breach { file: file.clone(), line, message });
             }
         }
     }
@@ -277,15 +278,12 @@ fn module_of(file: &Path) -> Vec<String> {
 
 fn check_file(file: &Path, source: &str) -> Vec<Breach> {
     let module = module_of(file);
-    let breach = |line, what| Breach { file: file.to_owned(), line, what };
+    let breach = |line, message| Breach { file: file.to_owned(), line, message };
     match module.first() {
-        None => check_root(file, source).into_iter().map(|what| breach(1, what)).collect(),
+        None => check_root(file, source).into_iter().map(|message| breach(1, message)).collect(),
         Some(name) => match ROOMS.iter().find(|room| room.name == name) {
             None => {
-                vec![breach(
-                    1,
-                    format!("`{name}` is no room: give it its walls in tests/repository/walls.rs"),
-                )]
+                vec![breach(1, format!("`{name}` is no room: add it to tests/repository/walls.rs"))]
             }
             Some(room) => imports(&module, source)
                 .iter()
@@ -322,7 +320,7 @@ fn check_import(room: &Room, module: &[String], import: &Import) -> Option<Strin
             import.is_public_use.then(|| format!("`{name}` re-exports an item of `{target}`"))
         }
         ("firmware_protocol", _) => {
-            (!is_allowed("firmware_protocol")).then(|| format!("`{name}` may not speak the wire"))
+            (!is_allowed("firmware_protocol")).then(|| format!("`{name}` may not import the wire"))
         }
         ("std", part) if !import.in_tests => {
             let forbidden = match name {
@@ -335,9 +333,9 @@ fn check_import(room: &Room, module: &[String], import: &Import) -> Option<Strin
                     "`std` under another name or as a whole cannot be followed: name its part"
                         .to_owned(),
                 ),
-                Some(part) => forbidden
-                    .contains(&part)
-                    .then(|| format!("`{name}` may not touch `std::{part}`")),
+                Some(part) => {
+                    forbidden.contains(&part).then(|| format!("`{name}` may not use `std::{part}`"))
+                }
             }
         }
         ("rand" | "rand_chacha", _) if !import.in_tests => {
@@ -364,7 +362,7 @@ fn check_root(file: &Path, source: &str) -> Vec<String> {
             .iter()
             .filter(|import| ["crate", "firmware_protocol"].contains(&import.path[0].as_str()))
             .filter(|import| import.path.get(1).is_none_or(|room| room != "commands"))
-            .map(|_| "main.rs goes through the commands".to_owned())
+            .map(|_| "main.rs may import only the commands".to_owned())
             .collect();
     }
     let tokens: Vec<TokenTree> = TokenStream::from_str(source).unwrap().into_iter().collect();
@@ -392,7 +390,7 @@ fn check_protocol(file: &Path, source: &str) -> Vec<Breach> {
         .map(|import| Breach {
             file: file.to_owned(),
             line: import.line,
-            what: format!("firmware-protocol may not use `{}`", import.path.join("::")),
+            message: format!("firmware-protocol may not use `{}`", import.path.join("::")),
         })
         .collect()
 }
@@ -402,13 +400,13 @@ mod the_checker {
     use super::*;
 
     fn breaches(file: &str, source: &str) -> Vec<String> {
-        check_file(Path::new(file), source).into_iter().map(|breach| breach.what).collect()
+        check_file(Path::new(file), source).into_iter().map(|breach| breach.message).collect()
     }
 
     #[track_caller]
     fn finds(file: &str, source: &str, expected: &str) {
         let found = breaches(file, source);
-        assert!(found.iter().any(|what| what.contains(expected)), "{source}: {found:?}");
+        assert!(found.iter().any(|message| message.contains(expected)), "{source}: {found:?}");
     }
 
     #[track_caller]
@@ -475,21 +473,25 @@ mod the_checker {
         finds("lib.rs", "pub mod clock; pub mod attic;", "`attic` is not a room");
         finds("lib.rs", "pub mod clock;", "`qube` is not a room");
         finds("lib.rs", "pub use qube::State;", "lib.rs may not re-export");
-        finds("main.rs", "fn main() { qube_hil::learning::train() }", "goes through the commands");
+        finds(
+            "main.rs",
+            "fn main() { qube_hil::learning::train() }",
+            "may import only the commands",
+        );
     }
 
     #[test]
-    fn finds_what_each_room_must_not_touch() {
+    fn finds_each_import_that_a_room_must_not_have() {
         finds("qube/state.rs", "use crate::clock::Clock;", "`qube` may not import `clock`");
         finds("session/mod.rs", "use crate::commands::run;", "`session` may not import `commands`");
         finds("learning/ppo.rs", "use crate::device::Device;", "may not import `device`");
         finds("surrogate/gp.rs", "use crate::qube::State;", "may not import `qube`");
         finds("control/tick.rs", "use crate::recording::Recorder;", "may not import `recording`");
-        finds("control/tick.rs", "use std::{fs::File, io};", "may not touch `std::fs`");
-        finds("control/tick.rs", "fn f() { std::process::exit(1) }", "may not touch");
-        finds("safety/gate.rs", "use std::time::Instant;", "may not touch `std::time`");
+        finds("control/tick.rs", "use std::{fs::File, io};", "may not use `std::fs`");
+        finds("control/tick.rs", "fn f() { std::process::exit(1) }", "may not use");
+        finds("safety/gate.rs", "use std::time::Instant;", "may not use `std::time`");
         finds("estimation/filter.rs", "use rand::Rng;", "draws no random numbers");
-        finds("session/rig.rs", "use firmware_protocol::Frame;", "may not speak the wire");
+        finds("session/rig.rs", "use firmware_protocol::Frame;", "may not import the wire");
         finds("recording/writer.rs", "use crate::safety::Limit;", "may not import `safety`");
         for source in [
             "use crate::device::SerialLink;",
@@ -502,7 +504,7 @@ mod the_checker {
     }
 
     #[test]
-    fn accepts_what_is_allowed() {
+    fn accepts_allowed_imports() {
         accepts("control/tick.rs", "use super::Motion; use crate::{qube::State, policy::Policy};");
         accepts("control/mod.rs", "mod tick; pub use tick::Tick; pub use self::drive::drive;");
         accepts("control/tick.rs", "mod tests { use super::super::drive; use super::*; }");
@@ -536,7 +538,7 @@ mod the_checker {
     }
 
     #[test]
-    fn says_where() {
+    fn names_file_and_line_of_a_breach() {
         let found = check_file(Path::new("control/tick.rs"), "\n\nuse crate::learning::Trainer;\n");
         assert_eq!(found[0].to_string(), "control/tick.rs:3: `control` may not import `learning`");
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 /// A command that runs the program in a folder, without input. The folder is also the home of the
-/// program's user and of its state, whatever the environment of the tests says.
+/// program's user and of its state, independent of the environment of the tests.
 pub fn command_in(directory: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_qube-hil"));
     command.current_dir(directory).stdin(Stdio::null());

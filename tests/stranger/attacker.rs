@@ -5,7 +5,7 @@ use super::genes::Genes;
 use super::moves::{Moves, MovesKind, Segment, features, weigh};
 
 /// A policy that tries to throw the arm against its stop: it moves the arm and may strike once, in
-/// a state of its choice.
+/// a certain state.
 pub struct Attacker {
     moves: Moves,
     strike: Option<Strike>,

@@ -9,7 +9,7 @@ use super::genes::Genes;
 pub enum BeliefKind {
     /// The Qube is not identified.
     Unknown,
-    /// The Qube is identified: its parameters lie around those of `lab`.
+    /// The Qube is identified: its parameters lie around the values of `lab`.
     Identified,
     /// The Qube is identified, and its profile has a tenth of the standard errors of `lab`.
     Precise,

@@ -46,12 +46,12 @@ impl MotionProgress {
         self.brakes.store(0, Ordering::Relaxed);
     }
 
-    /// Ticks that braked so far.
+    /// Number of braking ticks so far.
     pub fn brakes(&self) -> u32 {
         self.brakes.load(Ordering::Relaxed)
     }
 
-    /// Steps of the policy so far.
+    /// Number of the policy's steps so far.
     pub fn steps(&self) -> u32 {
         self.steps.load(Ordering::Relaxed)
     }
@@ -103,7 +103,7 @@ pub struct Qube {
     pub zero_rad: f64,
     /// Random numbers and the largest delay of a sample, ns; `None` without jitter.
     pub jitter: Option<(ChaCha8Rng, u64)>,
-    /// Whether a mishap happened before the arm reached its stop.
+    /// True if a mishap happened before the arm reached its stop.
     pub went_wrong: bool,
     /// Part of the episode in which the arm first reached its stop.
     pub hit_in: Option<Part>,

@@ -32,7 +32,7 @@ pub struct Outcome {
     pub hit_rad_s: Option<f64>,
     /// Part of the episode in which the arm first reached its stop.
     pub hit_in: Option<Part>,
-    /// Whether a sample was lost, an act was late or a stop was requested. These count only until
+    /// True if a sample was lost, an act was late or a stop was requested. These count only until
     /// the arm has reached its stop.
     #[serde(default)]
     pub went_wrong: bool,
@@ -51,7 +51,7 @@ pub struct Trace {
     pub lines: Vec<String>,
 }
 
-/// The content of an episode's genes.
+/// The conditions of an episode, read from its genes.
 struct Cast {
     qube: DrawnQube,
     zero_rad: f64,
@@ -167,7 +167,8 @@ fn run(scenario: &Scenario, settings: &TickSettings, genes: &[f64], shows: bool)
 }
 
 impl Outcome {
-    /// Whether the arm reached its stop, and not by its cable alone after the amplifier went off.
+    /// Returns whether the arm reached its stop, and not by its cable alone after the amplifier
+    /// went off.
     pub fn is_hit(&self) -> bool {
         self.hit_rad_s.is_some() && self.hit_in != Some(Part::Pulled)
     }

@@ -1,15 +1,15 @@
 use qube_hil::elementary::normal_pair;
 use rand::{Rng, RngExt};
 
-/// A reader of genes, one after the other. Each gene is about normally distributed; those beyond
-/// the last are zero.
+/// A reader of genes, one after the other. Each gene is about normally distributed; genes
+/// beyond the last are zero.
 pub struct Genes<'a> {
     rest: std::slice::Iter<'a, f64>,
     read: usize,
 }
 
 impl<'a> Genes<'a> {
-    /// Reads from the first on.
+    /// Begins at the first gene.
     pub fn new(genes: &'a [f64]) -> Self {
         Self { rest: genes.iter(), read: 0 }
     }

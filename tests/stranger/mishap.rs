@@ -6,7 +6,7 @@ use super::genes::Genes;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MishapKind {
-    /// Nothing.
+    /// No disturbance.
     Clean,
     /// Up to three samples in a row are lost.
     Lost,
@@ -23,8 +23,8 @@ pub enum MishapKind {
 }
 
 impl MishapKind {
-    /// Whether foresight promises to hold the arm under this mishap: at most three consecutive
-    /// samples are lost, and no act is late in addition.
+    /// Returns whether foresight promises to hold the arm under this mishap: at most three
+    /// consecutive samples are lost, and no act is late in addition.
     pub fn is_promised(self) -> bool {
         !matches!(self, Self::LinkDead | Self::LostAndStalled)
     }
@@ -84,12 +84,12 @@ pub struct TickMishaps {
 
 impl Since {
     fn of(genes: &mut Genes, steps: u32) -> Self {
-        let which = genes.normal();
+        let choice = genes.normal();
         let (step, outward, brake) =
             (genes.whole(1, steps), 0.5 + 2.5 * genes.unit(), genes.whole(0, 20));
-        let instant = match which {
-            it if it < -0.4 => Instant::Step(step),
-            it if it < 0.4 => Instant::Outward(outward),
+        let instant = match choice {
+            number if number < -0.4 => Instant::Step(step),
+            number if number < 0.4 => Instant::Outward(outward),
             _ => Instant::Brake(brake),
         };
         Self { instant, ticks: None }

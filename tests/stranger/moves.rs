@@ -15,7 +15,7 @@ pub enum MovesKind {
     Net,
     /// Full voltage that changes its direction at chosen times.
     BangBang,
-    /// Pumps energy into the pendulum.
+    /// Feedback that pumps energy into the pendulum.
     Pump,
     /// A row of pushes, some of which change their sign every 1 to 12 steps.
     Chatter,
@@ -44,7 +44,7 @@ pub enum Moves {
     Shipped { network: Box<Network> },
 }
 
-/// Condition on which one stage gives way to the next.
+/// Condition that ends a stage: a step is reached, or |theta| exceeds an angle, rad.
 #[derive(Clone, Copy, Debug)]
 pub enum Switch {
     Step(u32),
@@ -198,7 +198,7 @@ impl Moves {
         }
     }
 
-    /// Takes note of the voltage that the motor had, V.
+    /// Records the voltage that the motor had, V.
     pub fn applied(&mut self, voltage_v: f64) {
         if let Self::Shipped { network } = self {
             network.applied(voltage_v);

@@ -29,7 +29,7 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// A Qube in a state; `ahead_s` is how far ahead [`Self::headed_rad`] looks.
+    /// A Qube in a state; [`Self::headed_rad`] extrapolates over the time `ahead_s`.
     pub fn new(qube: DrawnQube, state: State, ahead_s: f64) -> Self {
         Self {
             state,
@@ -85,7 +85,7 @@ impl Plant {
         }
     }
 
-    /// Whether the arm is at rest and the pendulum hangs at rest.
+    /// Returns whether the arm is at rest and the pendulum hangs at rest.
     pub fn is_at_rest(&self) -> bool {
         let State { alpha, theta_dot, alpha_dot, .. } = self.state;
         theta_dot.abs() < 0.02

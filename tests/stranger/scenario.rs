@@ -41,12 +41,12 @@ pub struct Scenario {
     pub known: BeliefKind,
     /// The way in which the policy moves the arm outside a strike.
     pub moves: MovesKind,
-    /// Whether the policy may strike: begin a sequence of pushes in a certain state, once.
+    /// True if the policy may strike: begin a sequence of pushes in a certain state, once.
     pub strikes: bool,
     pub mishap: MishapKind,
     pub start: Start,
     pub seen: Seen,
-    /// Whether samples have a jitter of up to 2 ms.
+    /// True if samples have a jitter of up to 2 ms.
     pub jitters: bool,
     /// Steps of the policy.
     pub steps: u32,

@@ -66,8 +66,8 @@ impl AdversarySearch {
     }
 
     /// Plays episodes near one of a record: each gene differs by a normal number times `spread`. A
-    /// search that finds nothing after the guard has changed may merely have gone another way;
-    /// these episodes lie where an earlier search found something.
+    /// search that finds nothing after the guard has changed may have searched elsewhere; these
+    /// episodes lie where an earlier search found something.
     #[allow(dead_code, reason = "the tests play single episodes alone")]
     pub fn play_near(
         &self,

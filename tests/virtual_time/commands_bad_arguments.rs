@@ -15,7 +15,7 @@ fn names_that_are_no_ports_are_refused() {
     };
     run("/dev/ttyNOWHERE", &["no such port", "/dev/ttyNOWHERE", "plugged in"]);
     run("/dev/null", &["/dev/null"]);
-    // The program prints this sentence only: it announces nothing that then does not happen.
+    // The program prints this sentence only, and announces no motion.
     for command in [&["session"][..], &["check"], &["run", "--policy", "classical"]] {
         for (port, words) in [("/dev/ttyNOWHERE", "no such port"), ("/tmp", "not a serial port")] {
             let output = qube_hil(directory.path(), &[command, &["--device", port]].concat());
@@ -41,7 +41,7 @@ fn a_qube_file_for_another_board_is_refused_with_the_emulated_qube() {
 }
 
 #[test]
-fn a_resumed_work_says_that_it_keeps_its_settings() {
+fn a_resumed_session_or_experiment_says_that_it_keeps_its_settings() {
     let directory = tempfile::tempdir().unwrap();
     for (arguments, advice) in [
         (["session", "--resume", "s", "--candidates", "2"], "begin a new one with --config"),
@@ -235,7 +235,7 @@ fn a_seed_that_no_file_can_hold_is_refused() {
 }
 
 #[test]
-fn a_whole_number_is_asked_for_without_a_type_of_the_program() {
+fn a_message_about_a_whole_number_names_no_type_of_the_program() {
     let directory = tempfile::tempdir().unwrap();
     for (settings, words) in [
         ("seed = -1", "a whole number from 0 on"),
@@ -309,5 +309,5 @@ fn options_that_together_give_no_qube_begin_no_session() {
     let far = ["--vary", "0.2", "--delay-ms", "100", "--out", "pair"];
     let far = [&pair[..], &far].concat();
     refused(directory.path(), &far, 2, &["command_delay_s", "from 0 to 0.1"]);
-    assert!(!directory.path().join("pair").exists(), "a session was begun all the same");
+    assert!(!directory.path().join("pair").exists(), "a session was begun");
 }

@@ -77,7 +77,7 @@ fn a_foreign_name_in_an_onnx_file_begins_no_line() {
 }
 
 #[test]
-fn an_imported_file_with_the_wrong_conventions_is_refused_with_what_to_do() {
+fn an_imported_file_with_the_wrong_conventions_is_refused_with_a_remedy() {
     let directory = tempfile::tempdir().unwrap();
     let foreign = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx/tanh.onnx");
     let foreign = foreign.to_str().unwrap();
@@ -105,7 +105,7 @@ fn invalid_configurations_are_refused_with_their_line() {
         let arguments =
             ["session", "--clock", "virtual", "--config", "my.toml", "--out", "session"];
         refused(directory.path(), &arguments, 2, words);
-        assert!(!directory.path().join("session").exists(), "a session was begun all the same");
+        assert!(!directory.path().join("session").exists(), "a session was begun");
     };
     session("seed = 1\nsede = 2\n", &["my.toml", "line 2", "sede"]);
     session("[extent]\nrollouts = 0\n", &["my.toml", "extent.rollouts"]);
@@ -124,7 +124,7 @@ fn invalid_configurations_are_refused_with_their_line() {
         std::fs::write(&path, recipe).unwrap();
         let arguments = ["experiment", "--recipe", "my.toml", "--out", "session"];
         refused(directory.path(), &arguments, 2, &[&format!("my.toml, line 4: {named}")]);
-        assert!(!directory.path().join("session").exists(), "{entry} was run all the same");
+        assert!(!directory.path().join("session").exists(), "{entry} was accepted");
     }
 }
 
@@ -334,10 +334,7 @@ fn a_file_in_place_of_a_folder_is_refused_before_any_work() {
     refused(directory.path(), &["toy", "--out", "taken"], 2, &["--out taken is not a folder"]);
     let identify = ["identify", "chirp/rollout-0.mcap", "--plot", "taken"];
     refused(directory.path(), &identify, 2, &["--plot taken is not a folder"]);
-    assert!(
-        !directory.path().join("profile.toml").exists(),
-        "the recordings were fitted all the same"
-    );
+    assert!(!directory.path().join("profile.toml").exists(), "the recordings were fitted");
     std::fs::create_dir(directory.path().join("folder")).unwrap();
     let train = ["train", "--preset", "quick", "--checkpoint", "folder"];
     refused(directory.path(), &train, 2, &["--checkpoint folder: it is not a file"]);

@@ -62,7 +62,7 @@ fn every_number_in_the_settings_has_a_checked_range() {
     fs::write(directory.path().join("good.toml"), lines.join("\n")).unwrap();
     succeeds(directory.path(), &["config", "check", "good.toml"]);
     let mut replaced = 0;
-    // Whether the line is in an array of tables: the message then names the line of a header.
+    // True if the line is in an array of tables: the message then names the line of a header.
     let mut in_array = false;
     for (index, line) in lines.iter().enumerate() {
         if line.starts_with('[') {
@@ -100,13 +100,13 @@ fn every_number_in_the_settings_has_a_checked_range() {
             let has_any_line = in_array && told.contains("line ");
             assert!(has_line || has_any_line, "{place}: {told}");
             if !is_whole {
-                let says_what = ["give ", "it must "].iter().any(|words| told.contains(words));
-                assert!(says_what, "{place}: {told}");
+                let has_remedy = ["give ", "it must "].iter().any(|words| told.contains(words));
+                assert!(has_remedy, "{place}: {told}");
             }
             replaced += 1;
         }
     }
-    assert!(replaced > 500, "{replaced}");
+    assert!(replaced > 500, "only {replaced} numbers were replaced");
 }
 
 #[test]

@@ -77,7 +77,7 @@ fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
 }
 
 #[test]
-fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
+fn an_experiment_killed_and_stopped_again_and_again_comes_to_the_same_table() {
     let whole = tempfile::tempdir().unwrap();
     prepare(whole.path());
     let tables = ["--csv", "one/first.csv", "--figures", "one/figures"];
@@ -92,7 +92,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     assert!(text.contains("on lab") && text.contains("on worse"), "{text}");
     assert!(text.contains("/3 ") && text.contains("tiny-opt-nominal"), "{text}");
     let expected = table(whole.path());
-    assert!(expected.starts_with(&text), "resuming what is finished prints the same table");
+    assert!(expected.starts_with(&text), "a resumed finished experiment printed another table");
     let expected_files = files(&whole.path().join("one"));
     // 2 recipes of 3 policies with 2 rollouts on 2 plants, and a search with 4 rollouts.
     let recordings = expected_files.keys().filter(|name| name.ends_with(".mcap")).count();
@@ -186,7 +186,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     // A policy that is damaged is trained again, to the same bytes.
     std::fs::write(policies.join("001/policy.safetensors"), "cut off").unwrap();
     assert_eq!(table(whole.path()), expected);
-    assert!(files(&whole.path().join("one")) == expected_files, "the policy is another one now");
+    assert!(files(&whole.path().join("one")) == expected_files, "the policy differs");
 
     // --table shows finished work without running anything; a resumed experiment makes missing
     // files again.
@@ -199,7 +199,7 @@ fn killed_and_stopped_again_and_again_it_comes_to_the_same_table() {
     assert_eq!(table(whole.path()), expected);
     assert!(files(&whole.path().join("one")) == expected_files);
 
-    // With changed settings the finished work can still be shown, but nothing more is made.
+    // With changed settings the program shows the finished work and makes nothing more.
     let settings = whole.path().join("one/experiment.toml");
     let begun_with = std::fs::read_to_string(&settings).unwrap();
     std::fs::write(&settings, begun_with.replacen("seed = 4", "seed = 5", 1)).unwrap();
@@ -246,7 +246,7 @@ fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
             };
         }
     }
-    assert!(interruptions > 0, "it was over before it could be interrupted");
+    assert!(interruptions > 0, "the experiment was over before it could be interrupted");
 }
 
 /// Panics unless the folder of the experiment has exactly these files.
@@ -284,12 +284,12 @@ fn shows_its_table_despite_files_in_its_way(updates: u32) -> bool {
     // The program checks the paths of both options before it writes the settings. The test writes
     // files at these paths afterwards, as another program might.
     loop {
-        // The program may end between the two checks, so the file is looked for last.
+        // The program may end between the two checks, so the test looks for the file last.
         let has_ended = child.try_wait().unwrap().is_some();
         if directory.path().join("one/experiment.toml").exists() {
             break;
         }
-        assert!(!has_ended, "it ended before it wrote its settings");
+        assert!(!has_ended, "the experiment ended before it wrote its settings");
         std::thread::sleep(Duration::from_millis(2));
     }
     let written =
@@ -357,16 +357,16 @@ fn interrupted_and_resumed_methods_give_the_same_table() {
     }
     assert!(text.contains("> 3") && text.contains("> 2"), "{text}");
     let expected = table(whole.path());
-    assert!(expected.starts_with(&text), "resuming what is finished prints the same table");
+    assert!(expected.starts_with(&text), "a resumed finished experiment printed another table");
     assert!(expected.contains("bayrn,1,3,1,0,2,false,"), "{expected}");
     let expected_files = files(&whole.path().join("one"));
     let count = |end: &str| expected_files.keys().filter(|name| name.ends_with(end)).count();
     assert_eq!(count("refused-2.txt"), 2);
     // Every recommendation fails here, so that the first of the three policies that would score it
     // decides. The four refused recommendations of `identify` have no policy.
-    let judged = expected.lines().filter(|line| line.contains(",false,")).count() - 4;
+    let scored = expected.lines().filter(|line| line.contains(",false,")).count() - 4;
     let search_policies = 2 * 2 * 3;
-    assert_eq!(count("policy.safetensors"), search_policies + judged);
+    assert_eq!(count("policy.safetensors"), search_policies + scored);
 
     let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
     succeeded(&{ drawn }.output().unwrap());

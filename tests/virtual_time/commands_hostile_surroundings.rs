@@ -70,17 +70,17 @@ fn names_in_a_policy_are_shown_and_not_obeyed() {
     let twice = HOSTILE_JSON.replace('\\', "\\\\");
     let activation = named("\\\"tanh\\\"", &format!("\\\"{twice}\\\""));
     let key = named("\\\"activation\\\":", &format!("\\\"{twice}\\\":"));
-    for (what, bytes) in [("tensor", tensor), ("activation", activation), ("key", key)] {
+    for (place, bytes) in [("tensor", tensor), ("activation", activation), ("key", key)] {
         std::fs::write(&path, bytes).unwrap();
         let run = ["run", "--policy", "bad.safetensors", "--clock", "virtual"];
         let output = qube_hil(directory.path(), &run);
         let stderr = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(2), "{what}: {stderr}");
-        assert!(stderr.contains("owned"), "{what} is not named: {stderr}");
+        assert_eq!(output.status.code(), Some(2), "{place}: {stderr}");
+        assert!(stderr.contains("owned"), "{place} is not named: {stderr}");
         let obeyed = |letter: char| letter.is_control() || letter == '\u{202e}';
-        assert!(!stderr.trim_end().contains(obeyed), "{what}: {stderr:?}");
+        assert!(!stderr.trim_end().contains(obeyed), "{place}: {stderr:?}");
         let forged = stderr.lines().any(|line| line.starts_with("rollout 0"));
-        assert!(!forged, "{what}: {stderr}");
+        assert!(!forged, "{place}: {stderr}");
     }
 }
 

@@ -45,7 +45,7 @@ fn a_place_that_cannot_be_written_is_bad_usage() {
         &["experiment", "--device", PORT, "--models", "nominal"],
     ];
     for command in commands {
-        // In the first not even root can create a file; the second is not a folder.
+        // Not even root can create a file in the first folder; the second folder is a file.
         for (out, name) in [("/proc/nowhere/out", "nowhere"), ("file/out", "file")] {
             refused(directory.path(), &[command, &["--out", out]].concat(), 2, &[name]);
         }
@@ -75,7 +75,7 @@ fn a_full_disk_is_found_before_the_work() {
         let output = shell.output().unwrap();
         has_refused(&output, 1, &["cannot be written"]);
     }
-    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "something was left");
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "a file was left");
 }
 
 fn binary() -> &'static str {
@@ -97,7 +97,7 @@ fn recordings_of_another_run_are_found_before_the_port_is_touched() {
     let soak = ["soak", "--keep", "taken", "--device", PORT];
     refused(directory.path(), &soak, 2, &["taken/rollout-2.mcap", "exists"]);
     assert_eq!(std::fs::read(folder.join("rollout-2.mcap")).unwrap(), b"precious");
-    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1, "something was left");
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1, "a file was left");
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn an_invalid_port_leaves_no_files() {
             }
         }
     }
-    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "something was left");
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0, "a file was left");
     // An existing folder stays.
     std::fs::create_dir(directory.path().join("mine")).unwrap();
     let session = ["session", "--device", PORT, "--out", "mine"];

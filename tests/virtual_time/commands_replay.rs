@@ -274,11 +274,11 @@ fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
     assert_eq!(again.status.code(), Some(2));
     let told = stderr(&again);
     assert!(told.contains("exists already") && told.contains("--out"), "{told}");
-    assert!(files_of(folder.path()) == before, "a whole file and a saved one are left alone");
+    assert!(files_of(folder.path()) == before, "a whole or a saved file was changed");
 }
 
 #[test]
-fn a_recovered_recording_without_its_last_ticks_is_called_that_and_no_other_ending() {
+fn the_replay_of_a_recovered_recording_reports_missing_last_ticks_and_no_other_ending() {
     let folder = tempfile::tempdir().unwrap();
     let whole = fs::read(recorded(folder.path())).unwrap();
     let mut are_missing = 0;
@@ -287,7 +287,7 @@ fn a_recovered_recording_without_its_last_ticks_is_called_that_and_no_other_endi
     for (number, place) in last_tenth.step_by(whole.len() / 500).enumerate() {
         let mut bytes = whole.clone();
         bytes[place] ^= 4;
-        let name = |what: &str| folder.path().join(format!("{what}-{number}.mcap"));
+        let name = |state: &str| folder.path().join(format!("{state}-{number}.mcap"));
         let (damaged, saved) = (name("damaged"), name("saved"));
         fs::write(&damaged, &bytes).unwrap();
         let [damaged, saved] = [&damaged, &saved].map(|path| path.to_str().unwrap());

@@ -20,8 +20,8 @@ fn minutes_of_ticks_drop_none_and_keep_no_memory() {
         serde_json::from_str(text.lines().last().unwrap_or_default()).expect("JSON");
     assert!(result["ticks"].as_u64() >= Some(108_000), "{result}");
     assert_eq!(result["ended_by"], Value::Null, "{result}");
-    for nothing in ["lost", "missed_deadlines", "void"] {
-        assert_eq!(result[nothing], 0, "{result}");
+    for count in ["lost", "missed_deadlines", "void"] {
+        assert_eq!(result[count], 0, "{result}");
     }
     let growth_bytes = result["growth_bytes"].as_i64().expect("more rollouts than the warm-up");
     println!("the memory grew by {growth_bytes} bytes");

@@ -1,6 +1,6 @@
-//! Tests that no fault of sensors or motor is reported for a healthy Qube whose arm keeps off its
-//! stops, under a policy that uses only full voltage. The guard is the box without foresight, so
-//! that the policy runs as long as possible.
+//! Tests that no fault of sensors or motor is reported for a healthy Qube whose arm stays away from
+//! its stops, under a policy that uses only full voltage. The guard is the box without foresight,
+//! so that the policy runs as long as possible.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
@@ -35,7 +35,7 @@ const LEAST_TICKS: u64 = 1_000;
 /// Number of Qubes that a thread may drive in addition.
 const SPARE_QUBES: u64 = 20;
 
-/// One homing may fail for every so many Qubes; usually fewer than 1 of 1000 fails.
+/// Number of Qubes per accepted failed homing; usually fewer than 1 homing of 1000 fails.
 const QUBES_PER_FAILED_HOMING: u64 = 100;
 
 /// Longest delay from a command to the motor, s. The delays thus include one period, 10 ms, at
@@ -54,7 +54,7 @@ struct BangBang {
     plane: Option<[f64; 4]>,
     /// Longest time for which a random sign holds, ticks.
     longest: u32,
-    /// Ticks for which the present sign still holds.
+    /// Remaining ticks of the present sign.
     left: u32,
     sign: f64,
 }
@@ -97,7 +97,7 @@ fn qube(seed: u64) -> EmulatorSettings {
         nonidealities: lab.scaled(1.5 * rng.random::<f64>()).nonidealities,
         ..QubeModel::NOMINAL
     };
-    for parameter in DomainParameter::ALL.into_iter().filter(|p| *p != DomainParameter::Gravity) {
+    for parameter in DomainParameter::ALL.into_iter().filter(|it| *it != DomainParameter::Gravity) {
         let nominal = model.parameters.get(parameter);
         model.parameters.set(parameter, nominal * (0.9 + 0.2 * rng.random::<f64>()));
     }
@@ -136,7 +136,7 @@ struct Counted {
     qubes: u64,
     ticks: u64,
     not_homed: Vec<u64>,
-    /// Faults while the arm had kept off its stops.
+    /// Faults before which the arm had hit no stop.
     faults: BTreeMap<String, Vec<u64>>,
     /// Faults after the arm had hit a stop, which is possible without foresight.
     after_a_hit: BTreeMap<String, Vec<u64>>,
@@ -167,12 +167,12 @@ fn drive_qube(seed: u64, rules: TickRules) -> Counted {
     device.hello().expect("an emulated Qube answers");
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
-    let homed = drive(&mut device, &clock, &mut homing, None, &stop).expect("it arms");
+    let homed = drive(&mut device, &clock, &mut homing, None, &stop).expect("an armed board");
     if homed.outcome.ending != Ending::Completed {
         return Counted { qubes: 1, not_homed: vec![seed], ..Counted::default() };
     }
     let settings = TickSettings {
-        calibration: homing.calibration().expect("it homes"),
+        calibration: homing.calibration().expect("a homed Qube"),
         safety_box: SafetyBox::THESIS,
         start_theta_rad: 0.0,
         rules,
@@ -183,11 +183,11 @@ fn drive_qube(seed: u64, rules: TickRules) -> Counted {
         let begin_ns = clock.now_ns();
         let tick = Tick::new(&settings, BangBang::new(ROLLOUTS * seed + rollout));
         let mut noted = Noted { tick, farthest_rad: 0.0 };
-        let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("it arms");
+        let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("an armed board");
         counted.ticks += (clock.now_ns() - begin_ns) / CONTROL_PERIOD_NS;
         let Ending::Fault(fault) = report.outcome.ending else { continue };
         match fault {
-            // A motor that full voltage has heated needs its rest.
+            // A motor that full voltage has heated has to cool down.
             Fault::MotorOverheated => {}
             Fault::BrakingTimedOut => counted.brakes_timed_out.push(seed),
             _ => {
@@ -237,13 +237,13 @@ fn a_slow_motor_raises_doubts_under_earlier_rules_only() {
     for (seed, fault) in [(1031, "EncoderFrozen"), (1194, "SettlingTimedOut")] {
         let earlier = drive_qube(seed, TickRules::FaultsFirst);
         assert!(earlier.faults.contains_key(fault), "{seed}: {earlier:?}");
-        let now = drive_qube(seed, TickRules::NEWEST);
-        assert!(now.faults.is_empty(), "{seed}: {now:?}");
+        let newest = drive_qube(seed, TickRules::NEWEST);
+        assert!(newest.faults.is_empty(), "{seed}: {newest:?}");
     }
 }
 
 #[test]
-#[ignore = "minutes: scripts/adversary runs it"]
+#[ignore = "takes minutes: scripts/adversary runs it"]
 fn ten_million_ticks_of_full_voltage_raise_no_doubt() {
     no_fault(1000, 10_000_000);
 }

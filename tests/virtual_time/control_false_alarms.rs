@@ -43,7 +43,7 @@ fn rollout_on(settings: EmulatorSettings, controller: impl Controller) -> Ending
     device.hello().expect("an emulated Qube answers");
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
-    let homed = drive(&mut device, &clock, &mut homing, None, &stop).expect("it arms");
+    let homed = drive(&mut device, &clock, &mut homing, None, &stop).expect("an armed board");
     assert_eq!(
         homed.outcome.ending,
         Ending::Completed,
@@ -51,12 +51,12 @@ fn rollout_on(settings: EmulatorSettings, controller: impl Controller) -> Ending
         settings.effects
     );
     let settings = TickSettings {
-        calibration: homing.calibration().expect("it homes"),
+        calibration: homing.calibration().expect("a homed Qube"),
         start_theta_rad: 0.1 * (seed as f64).sin(),
         ..RolloutPlan::single("test", "test").header().settings
     };
     let mut tick = Tick::new(&settings, controller);
-    drive(&mut device, &clock, &mut tick, None, &stop).expect("it arms").outcome.ending
+    drive(&mut device, &clock, &mut tick, None, &stop).expect("an armed board").outcome.ending
 }
 
 /// Endings of rollouts with the three kinds of policy in turn.
@@ -77,7 +77,9 @@ fn endings(seeds: std::ops::Range<u64>) -> Vec<(u64, Ending)> {
 
 fn no_fault(seeds: std::ops::Range<u64>) {
     let endings = endings(seeds);
-    let count = |wanted: fn(&Ending) -> bool| endings.iter().filter(|(_, e)| wanted(e)).count();
+    let count = |is_counted: fn(&Ending) -> bool| {
+        endings.iter().filter(|(_, ending)| is_counted(ending)).count()
+    };
     println!(
         "{} rollouts: {} completed, {} ended by foresight, {} faults",
         endings.len(),
@@ -85,7 +87,10 @@ fn no_fault(seeds: std::ops::Range<u64>) {
         count(|ending| *ending == Ending::LeftBox(Limit::Foresight)),
         count(|ending| matches!(ending, Ending::Fault(_)))
     );
-    assert!(count(|ending| *ending == Ending::Completed) > 0, "no rollout lasts: {endings:?}");
+    assert!(
+        count(|ending| *ending == Ending::Completed) > 0,
+        "no rollout was completed: {endings:?}"
+    );
     for (seed, ending) in endings {
         assert!(!matches!(ending, Ending::Fault(_)), "seed {seed}: {ending:?}");
     }
@@ -97,7 +102,7 @@ fn a_healthy_qube_raises_no_fault_whatever_its_policy_does() {
 }
 
 #[test]
-#[ignore = "a minute: scripts/adversary runs it"]
+#[ignore = "takes a minute: scripts/adversary runs it"]
 fn a_thousand_rollouts_on_healthy_qubes_raise_no_fault() {
     no_fault(0..1000);
 }

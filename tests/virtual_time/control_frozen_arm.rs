@@ -83,15 +83,19 @@ fn a_freeze_anywhere_in_a_rollout_is_found_within_300_ms_and_a_healthy_qube_is_l
         for (name, policy) in policies() {
             for seed in 0..2 {
                 let settings = EmulatorSettings { seed, ..settings };
-                let (healthy, frozen) = freezes(settings, &policy).expect("it is homed");
-                let of = format!("{qube}, {name}, seed {seed}");
-                assert!(!matches!(healthy.ending, Ending::Fault(_)), "{of}: {:?}", healthy.ending);
+                let (healthy, frozen) = freezes(settings, &policy).expect("a homed Qube");
+                let rollout = format!("{qube}, {name}, seed {seed}");
+                assert!(
+                    !matches!(healthy.ending, Ending::Fault(_)),
+                    "{rollout}: {:?}",
+                    healthy.ending
+                );
                 for ((kind, _), freeze) in KINDS.iter().zip(frozen) {
-                    let of = format!("{of}, {kind}");
-                    let freeze = freeze.unwrap_or_else(|| panic!("{of}: no result"));
+                    let rollout = format!("{rollout}, {kind}");
+                    let freeze = freeze.unwrap_or_else(|| panic!("{rollout}: no result"));
                     let found_ms = freeze.found_ms();
-                    assert!(found_ms.is_some_and(|ms| ms <= 300.0), "{of}: {found_ms:?}");
-                    assert!(!freeze.is_named_otherwise(), "{of}: {:?}", freeze.outcome.ending);
+                    assert!(found_ms.is_some_and(|ms| ms <= 300.0), "{rollout}: {found_ms:?}");
+                    assert!(!freeze.is_named_otherwise(), "{rollout}: {:?}", freeze.outcome.ending);
                 }
             }
         }

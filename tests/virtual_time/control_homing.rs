@@ -1,6 +1,6 @@
 //! Tests starts with one fault each: no stop is touched hard while homing and settling, in 20 of
 //! the 27 cases no fault is named wrongly, and in 26 no result is false.
-//! `scripts/harmless-homing` plays 10^4 of them; this is a small number.
+//! `scripts/harmless-homing` plays 10^4 starts, these tests fewer than 300.
 
 use qube_hil::telemetry::{Ending, Fault};
 
@@ -43,8 +43,8 @@ fn expected(case: Case) -> Shortfalls {
     }
 }
 
-/// Whether a start has the ending that its case demands. The swinging pendulum may hide a motor
-/// that is dead from the start, so that homing times out.
+/// Returns whether a start has the ending that its case demands. The swinging pendulum may hide a
+/// motor that is dead from the start, so that homing times out.
 fn is_named(start: &Start, trial: &Trial) -> bool {
     let timed_out = trial.ending == Ending::Fault(Fault::HomingTimedOut);
     trial.is_named_rightly(start) || start.case == Case::MotorDead && timed_out
@@ -81,8 +81,8 @@ fn whatever_is_wrong_homing_and_settling_touch_no_stop_hard() {
 
 #[test]
 fn qubes_far_from_nominal_are_homed_and_touch_no_stop_hard() {
-    // If settling lost no gain, and the scale of the encoders did not allow for lengths that are
-    // 20 % off, the first nine would not be homed, or would touch a stop at up to 8 rad/s.
+    // The first nine need a settling that loses gain, and a scale of the encoders that allows for
+    // lengths 20 % off. Otherwise they would not be homed, or would touch a stop at up to 8 rad/s.
     let seeds = [1009, 1018, 1020, 1081, 1229, 1244, 1275, 1449, 1984].into_iter().chain(0..10);
     for seed in seeds {
         let start = Start::new(Case::Healthy, seed, Qubes::Far);

@@ -54,8 +54,8 @@ impl Clock for LateClock {
             return;
         }
         let longest_s = late.longest_s;
-        let stands_s = late.random.random_range(SHORTEST_S..longest_s);
-        self.time.advance((stands_s * 1e9) as Nanoseconds);
+        let stall_s = late.random.random_range(SHORTEST_S..longest_s);
+        self.time.advance((stall_s * 1e9) as Nanoseconds);
         let pause_s = -late.every_s * late.random.random_range(1e-3_f64..1.0).ln();
         late.next_ns = self.time.now_ns() + (pause_s * 1e9) as Nanoseconds;
     }
@@ -137,7 +137,7 @@ fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
 }
 
-/// Drives as many Qubes as the environment variable `RIGS` says, 40 by default, with seeds from
+/// Drives as many Qubes as the environment variable `RIGS` gives, 40 by default, with seeds from
 /// `SEED` on, 1000 by default.
 #[test]
 fn a_computer_that_stands_still_now_and_then_leaves_no_doubt_about_a_healthy_qube() {
@@ -155,5 +155,5 @@ fn a_computer_that_stands_still_now_and_then_leaves_no_doubt_about_a_healthy_qub
     }
     println!("{late} motions ended by a late computer");
     assert!(late > 0, "the computer was never late");
-    assert!(wrong.is_empty(), "{} of a healthy Qube:\n{}", wrong.len(), wrong.join("\n"));
+    assert!(wrong.is_empty(), "{} faults of a healthy Qube:\n{}", wrong.len(), wrong.join("\n"));
 }

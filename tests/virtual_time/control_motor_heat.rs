@@ -44,7 +44,7 @@ impl Rig {
         max_steps: u32,
     ) -> RolloutOutcome {
         let settings = TickSettings {
-            calibration: self.homing.calibration().expect("it is homed"),
+            calibration: self.homing.calibration().expect("a homed Qube"),
             max_steps,
             start_theta_rad: 0.1 * (seed as f64).sin(),
             ..RolloutPlan::single("test", "test").header().settings
@@ -52,7 +52,7 @@ impl Rig {
         let mut tick = Tick::new(&settings, controller);
         let stop = AtomicBool::new(false);
         drive_warm(&mut self.device, &self.clock, &mut tick, &mut self.heat, None, &stop)
-            .expect("it arms")
+            .expect("an armed board")
             .outcome
     }
 }
@@ -134,7 +134,7 @@ fn ordinary_rollouts_back_to_back_never_warn() {
 }
 
 #[test]
-#[ignore = "two minutes"]
+#[ignore = "takes two minutes"]
 fn a_thousand_rollouts_of_each_kind_back_to_back_never_warn() {
     rollouts_back_to_back(1000);
 }

@@ -14,37 +14,37 @@ use qube_hil::rig::RolloutPlan;
 use qube_hil::safety::SafetyBox;
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
-/// The fate of a sample on its way from the device to the tick.
+/// The delivery of a sample from the device to the tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Fate {
+enum Delivery {
     Comes,
     Lost,
-    /// The first sample with this fate is delivered again instead.
+    /// The first sample with this delivery comes again instead.
     Repeats,
 }
 
-/// The emulated Qube in virtual time, with a fate for the sample of each tick.
-struct Fateful {
+/// The emulated Qube in virtual time, with a planned delivery of the sample of each tick.
+struct PlannedQube {
     link: SerialLink<InProcessWire>,
     clock: VirtualClock,
-    fate: fn(u32) -> Fate,
+    delivery: fn(u32) -> Delivery,
     ticks: u32,
     repeated: Option<Measurement>,
     /// Tick and result of each act.
     acts: Vec<(u32, Result<(), LinkFault>)>,
 }
 
-impl Fateful {
-    fn new(fate: fn(u32) -> Fate) -> Self {
+impl PlannedQube {
+    fn new(delivery: fn(u32) -> Delivery) -> Self {
         let clock = VirtualClock::default();
         let link = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
-        let mut device = Self { link, clock, fate, ticks: 0, repeated: None, acts: Vec::new() };
+        let mut device = Self { link, clock, delivery, ticks: 0, repeated: None, acts: Vec::new() };
         device.hello().expect("the emulated Qube answers");
         device
     }
 }
 
-impl Device for Fateful {
+impl Device for PlannedQube {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
         self.link.hello()
     }
@@ -56,13 +56,13 @@ impl Device for Fateful {
     fn sample(&mut self, deadline_ns: u64) -> Result<Measurement, LinkFault> {
         let sample = self.link.sample(deadline_ns)?;
         self.ticks += 1;
-        match (self.fate)(self.ticks - 1) {
-            Fate::Comes => Ok(sample),
-            Fate::Lost => {
+        match (self.delivery)(self.ticks - 1) {
+            Delivery::Comes => Ok(sample),
+            Delivery::Lost => {
                 self.clock.sleep_until(deadline_ns);
                 Err(LinkFault::Timeout)
             }
-            Fate::Repeats => Ok(*self.repeated.get_or_insert(sample)),
+            Delivery::Repeats => Ok(*self.repeated.get_or_insert(sample)),
         }
     }
 
@@ -120,9 +120,10 @@ impl Motion for Constant {
 }
 
 /// Drives the motion on the device and returns the motion's ending.
-fn drives(device: &mut Fateful, motion: &mut dyn Motion) -> Ending {
+fn drives(device: &mut PlannedQube, motion: &mut dyn Motion) -> Ending {
     let clock = device.clock.clone();
-    let report = drive(device, &clock, motion, None, &AtomicBool::new(false)).expect("it arms");
+    let report =
+        drive(device, &clock, motion, None, &AtomicBool::new(false)).expect("an armed board");
     assert!(report.disarmed.is_ok());
     report.outcome.ending
 }
@@ -131,7 +132,8 @@ fn drives(device: &mut Fateful, motion: &mut dyn Motion) -> Ending {
 /// 4. That is within the device's watchdog of 50 ms.
 #[test]
 fn a_voltage_that_is_held_through_lost_samples_is_no_new_act() {
-    let mut device = Fateful::new(|tick| if tick % 4 == 0 { Fate::Comes } else { Fate::Lost });
+    let mut device =
+        PlannedQube::new(|tick| if tick % 4 == 0 { Delivery::Comes } else { Delivery::Lost });
     let mut motion = Constant::new(None);
     assert_eq!(drives(&mut device, &mut motion), Ending::Completed);
     assert!(motion.seen.iter().all(|it| it.status.armed && !it.status.watchdog_tripped));
@@ -147,7 +149,7 @@ fn a_voltage_that_is_held_through_lost_samples_is_no_new_act() {
 
 #[test]
 fn a_host_that_hangs_between_sample_and_act_sends_no_act() {
-    let mut device = Fateful::new(|_| Fate::Comes);
+    let mut device = PlannedQube::new(|_| Delivery::Comes);
     let mut motion = Constant::new(Some((10, device.clock.clone())));
     assert_eq!(drives(&mut device, &mut motion), Ending::Completed);
     let refused: Vec<_> = device.acts.iter().filter(|(_, sent)| sent.is_err()).collect();
@@ -159,7 +161,8 @@ fn a_host_that_hangs_between_sample_and_act_sends_no_act() {
 /// device time as the sample before.
 #[test]
 fn a_device_that_repeats_one_sample_is_a_fault_in_the_next_tick() {
-    let mut device = Fateful::new(|tick| if tick < 30 { Fate::Comes } else { Fate::Repeats });
+    let mut device =
+        PlannedQube::new(|tick| if tick < 30 { Delivery::Comes } else { Delivery::Repeats });
     let settings = TickSettings {
         calibration: Calibration::IDENTITY,
         safety_box: SafetyBox { theta: 100.0, alpha: 1e4, ..SafetyBox::THESIS },

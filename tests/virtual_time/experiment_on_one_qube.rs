@@ -1,4 +1,5 @@
-//! Tests an experiment that has one Qube for all of its rollouts, as a real one.
+//! Tests an experiment that makes all its rollouts on one Qube, as an experiment on a real Qube
+//! does.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -70,8 +71,8 @@ fn the_recipes_take_turns_and_each_round_begins_with_another() {
         Nanoseconds::MAX,
     );
     ended.unwrap();
-    let (a, b) = ("nominal", "handcrafted");
-    assert_eq!(recipes, [a, b, b, a, a, b]);
+    let (one, other) = ("nominal", "handcrafted");
+    assert_eq!(recipes, [one, other, other, one, one, other]);
 }
 
 #[test]

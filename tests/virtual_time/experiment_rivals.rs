@@ -9,7 +9,7 @@ use crate::shared::command_in;
 const TINY: &str = "name = \"tiny\"\nmodel = \"opt-robust\"\n\n\
                     [settings.training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
 
-/// Runs an experiment in a folder; returns what it prints as JSON.
+/// Runs an experiment in a folder; returns the printed JSON object.
 fn experiment(folder: &Path, arguments: &[&str]) -> serde_json::Value {
     let output =
         command_in(folder).arg("experiment").args(arguments).arg("--json").output().unwrap();
@@ -27,7 +27,7 @@ fn rows_of(methods: &str, budgets: &str) -> (tempfile::TempDir, Vec<String>) {
     let place = ["--seed", "3", "--out", "one"];
     let result = experiment(folder.path(), &[&begin[..], &rest, &place].concat());
     let resumed = experiment(folder.path(), &["--resume", "one"]);
-    assert_eq!(result["models"], resumed["models"], "nothing is left to do");
+    assert_eq!(result["models"], resumed["models"], "the resumed experiment has other results");
     let models = result["models"].as_array().unwrap();
     (folder, models.iter().map(|row| row["model"].as_str().unwrap().to_owned()).collect())
 }
@@ -60,13 +60,13 @@ fn strategy_optimisation_tries_inputs_of_one_policy_and_recommends_the_best() {
     let (folder, rows) = rows_of("so-cma", "0,2");
     assert_eq!(rows, ["so-cma 0", "so-cma 2"]);
     let run = folder.path().join("one/budgets/lab/so-cma/000");
-    let judged = |number| policy_at_budget(&run, number);
+    let scored = |number| policy_at_budget(&run, number);
     let recorded = |number| recorded(&run, number);
     // The first candidate has the inputs of the prior's mean, which are also recommended without a
     // rollout. The recommendation after two rollouts is one of the two candidates.
-    assert_eq!(recorded(0), judged("000"));
+    assert_eq!(recorded(0), scored("000"));
     assert_ne!(recorded(0), recorded(1));
-    assert!([recorded(0), recorded(1)].contains(&judged("002")));
+    assert!([recorded(0), recorded(1)].contains(&scored("002")));
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn a_method_whose_policies_share_a_training_is_refused_without_budgets() {
 }
 
 #[test]
-#[ignore = "minutes: every method learns as much as in an experiment"]
+#[ignore = "takes minutes: every method learns as much as in an experiment"]
 fn every_rival_has_a_policy_at_each_budget() {
     let methods =
         ["simopt", "bayessim", "dropo", "epopt", "npdr", "lsdr", "fpo", "adr", "so-cma", "history"];

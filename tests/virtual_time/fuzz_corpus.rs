@@ -40,7 +40,7 @@ fn replay(target: &str, body: fn(&[u8]) -> bool) {
 }
 
 #[test]
-fn wire() {
+fn the_wire_accepts_its_corpus() {
     replay("wire", bodies::wire);
     let hello = Request::Hello { protocol_version: PROTOCOL_VERSION }.encode(1);
     for mode in [0, 1] {
@@ -52,13 +52,13 @@ fn wire() {
 }
 
 #[test]
-fn policy() {
+fn policies_are_read_from_their_corpus() {
     replay("policy", bodies::policy);
     assert!(bodies::policy(&classical()));
 }
 
 #[test]
-fn recording() {
+fn recordings_are_read_from_their_corpus() {
     replay("recording", bodies::recording);
     let whole = std::fs::read(
         Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/left_the_speed_envelope.mcap"),
@@ -80,13 +80,13 @@ fn recording() {
 }
 
 #[test]
-fn configuration() {
+fn configurations_are_read_from_their_corpus() {
     replay("configuration", bodies::configuration);
     assert!(bodies::configuration(SessionSettings::quick().to_toml().unwrap().as_bytes()));
 }
 
 #[test]
-fn ledger() {
+fn ledgers_are_read_from_their_corpus() {
     replay("ledger", bodies::ledger);
     let entries = [
         Entry::Proposed {

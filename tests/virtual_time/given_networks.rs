@@ -14,7 +14,8 @@ pub fn robust() -> Network {
     }
 }
 
-/// Gives these networks in turn, the last one again and again, as the results of trainings.
+/// An executor that gives these networks in turn, the last one again and again, as the results of
+/// trainings.
 pub struct Given {
     networks: Vec<Network>,
     jobs: AtomicUsize,

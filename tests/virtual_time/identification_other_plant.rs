@@ -32,7 +32,7 @@ fn refused(directory: &Path, arguments: &[&str], words: &[&str]) {
     }
 }
 
-/// Two chirps and a recording of steps of the specimen.
+/// Records two chirps and one rollout of steps of the specimen.
 fn record(directory: &Path) {
     let text = toml::to_string(&specimen()).unwrap();
     assert!(text.contains("plant = \"furuta-130\""), "{text}");
@@ -45,7 +45,7 @@ fn record(directory: &Path) {
     }
 }
 
-/// The motion of a recording as a table with all its digits.
+/// Writes the motion of a recording as a table with all digits.
 fn write_table(recording: &Path, table: &Path) {
     let log = MotionLog::read(recording).unwrap();
     assert_eq!(log.plant, larger());

@@ -27,12 +27,12 @@ fn recordings() -> Option<PathBuf> {
     if folder.is_dir() {
         return Some(folder);
     }
-    let why = format!("no recordings of a real Qube in {}", folder.display());
-    say_skipped("a comparison with a real Qube", why, &["QUBE_HIL_REQUIRE_RECORDINGS"]);
+    let reason = format!("no recordings of a real Qube in {}", folder.display());
+    say_skipped("a comparison with a real Qube", reason, &["QUBE_HIL_REQUIRE_RECORDINGS"]);
     None
 }
 
-/// The paths of all recordings in a folder, of which there must be one at least.
+/// The paths of all recordings in a folder, of which there must be at least one.
 fn all_of(folder: &Path) -> Vec<PathBuf> {
     let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let is_recording = |path: &PathBuf| path.extension().is_some_and(|it| it == "csv");

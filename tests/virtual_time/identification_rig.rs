@@ -83,7 +83,7 @@ fn rollouts_of_a_policy_alone_give_the_profile_back() {
     assert_lab(&json(&qube_hil(directory.path(), &["identify", files[0], files[1], "--json"])));
 }
 
-/// Under slow steps the rest angle of the cable can stand in for unequal dead zones.
+/// Under slow steps, the rest angle of the cable and unequal dead zones have similar effects.
 #[test]
 fn one_recording_under_slow_steps_gives_the_profile_back() {
     let directory = tempfile::tempdir().unwrap();
@@ -125,8 +125,8 @@ fn a_delayed_qube_with_strong_friction_fits_its_model() {
     let policy = format!("{}/policies/robust.safetensors", env!("CARGO_MANIFEST_DIR"));
     for plant in [["--delay-ms", "18"], ["--gap", "1.5"]] {
         let on = |out: &str, driven: &[&str]| {
-            let where_to = ["--profile", "lab", "--clock", "virtual", "--out", out];
-            qube_hil(directory.path(), &[&["run"], driven, &plant, &where_to].concat());
+            let place = ["--profile", "lab", "--clock", "virtual", "--out", out];
+            qube_hil(directory.path(), &[&["run"], driven, &plant, &place].concat());
         };
         let (excited, driven) = (format!("excited{}", plant[0]), format!("driven{}", plant[0]));
         on(&excited, &["--excite", "chirp", "--unidentified"]);
@@ -334,13 +334,13 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
     let found = json(&told);
     let left_out = &found["left_out"];
     assert_eq!(left_out.as_array().unwrap().len(), 3, "{left_out}");
-    for (entry, (file, why)) in left_out.as_array().unwrap().iter().zip([
+    for (entry, (file, reason)) in left_out.as_array().unwrap().iter().zip([
         ("short.mcap", "it lasts"),
         ("settles.mcap", "fewer than two samples under the policy"),
         ("held-out.mcap", "it lasts"),
     ]) {
         assert_eq!(entry["file"], file);
-        assert!(entry["reason"].as_str().unwrap().contains(why), "{left_out}");
+        assert!(entry["reason"].as_str().unwrap().contains(reason), "{left_out}");
     }
     assert_eq!(found["incomplete"], serde_json::json!([]));
     assert_eq!(found["recordings"].as_array().unwrap().len(), 1);
@@ -360,7 +360,7 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
     }
 }
 
-/// The friction near rest is so stiff that the steps for `lab` would be too long.
+/// The friction near rest is so stiff that the integration steps for `lab` would be too long.
 #[test]
 fn a_qube_with_five_times_the_friction_of_lab_gives_its_dead_zones_and_cable_back() {
     let directory = tempfile::tempdir().unwrap();

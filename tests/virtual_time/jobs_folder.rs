@@ -1,5 +1,5 @@
 //! Tests trainings in a folder that worker processes share: every policy has the same bytes as if
-//! this computer had trained it alone, whatever happens to the workers.
+//! this computer had trained it alone, even if workers fail.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -34,7 +34,7 @@ fn jobs(count: u64, updates: u32) -> Vec<TrainingJob> {
 }
 
 /// The bytes of each job's result, by the job's index. The executor must report each result once.
-/// Jobs that nobody does are stopped after [`PATIENCE`].
+/// Jobs that no worker finishes are stopped after [`PATIENCE`].
 fn trained(
     executor: &dyn Executor,
     jobs: &[TrainingJob],
@@ -52,7 +52,7 @@ fn trained(
         executor.train(jobs, stop, &mut |event| {
             if let JobEvent::Finished { job, result } = event {
                 let bytes = result.map(|it| it.to_bytes());
-                assert!(results.insert(job, bytes).is_none(), "{job} twice");
+                assert!(results.insert(job, bytes).is_none(), "job {job} was reported twice");
             }
         });
     });
@@ -114,7 +114,7 @@ impl WorkerProcess {
     /// call.
     fn says(&mut self, word: &str) {
         let mut lines = self.messages.by_ref().lines().map_while(Result::ok);
-        assert!(lines.any(|line| line.contains(word)), "never {word}");
+        assert!(lines.any(|line| line.contains(word)), "the worker never printed {word}");
     }
 
     /// Waits until the worker has ended by itself.

@@ -1,5 +1,5 @@
 //! Tests that compute: simulation and learning, in this process and in the program, with Qubes in
-//! virtual time. No result depends on how fast or busy the computer is.
+//! virtual time. No result depends on the speed or the load of the computer.
 
 #[path = "../adversary/mod.rs"]
 mod adversary;

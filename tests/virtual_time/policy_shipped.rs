@@ -21,8 +21,9 @@ fn returns(policy: &str, qube: &[&str]) -> Vec<f64> {
     told["returns"].as_array().unwrap().iter().map(|it| it.as_f64().unwrap()).collect()
 }
 
-/// The least returns lie 16 to 45 below those in `policies/README.md`. A step of 10 ms earns at
-/// most 1, so they detect a policy that loses 0.16 to 0.45 s of its balance; smaller losses pass.
+/// The least returns lie 16 to 45 below the returns in `policies/README.md`. A step of 10 ms earns
+/// at most 1, so these limits detect a policy that loses 0.16 to 0.45 s of its balance; smaller
+/// losses pass.
 #[test]
 fn each_policy_balances_on_the_qubes_that_it_is_for() {
     for (policy, qube, at_least) in [

@@ -67,7 +67,7 @@ fn a_healthy_qube_passes_whatever_its_counters_begin_with() {
 }
 
 #[test]
-fn an_arm_that_lies_at_a_stop_is_judged_right() {
+fn a_healthy_qube_whose_arm_lies_at_a_stop_passes() {
     for direction in [1, -1] {
         let clock = VirtualClock::default();
         let mut link = SerialLink::in_process(EmulatorSettings::default(), clock.clone());

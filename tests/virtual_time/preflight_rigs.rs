@@ -46,7 +46,7 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
     let rig = rig(seed);
     let mut wrong = Vec::new();
     let mut verdicts = 0;
-    let mut judge = |name: &str, found: &Examination, expected: &[&str]| {
+    let mut compare = |name: &str, found: &Examination, expected: &[&str]| {
         verdicts += 1;
         if failed(found) != expected {
             let failed = found.results.iter().filter(|result| result.failed());
@@ -56,7 +56,7 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
         }
     };
     let (found, touch_rad_s) = examined(rig, signs_of(rig.wiring), OtherSigns::Fail);
-    judge("healthy", &found, &[]);
+    compare("healthy", &found, &[]);
     assert!(touch_rad_s < 2.0, "{seed}: a stop was touched at {touch_rad_s} rad/s");
 
     // The examination starts from random signs and must find the right ones.
@@ -68,7 +68,7 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
         ..Calibration::IDENTITY
     };
     let (found, touch_rad_s) = examined(rig, unknown, OtherSigns::Adopt);
-    judge("learn", &found, &[]);
+    compare("learn", &found, &[]);
     assert!(touch_rad_s < 2.0, "{seed} learn: a stop was touched at {touch_rad_s} rad/s");
     let differences = [
         found.signs.theta_inverted != rig.wiring.theta_inverted,
@@ -80,7 +80,7 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
         let (rig, signs) = defect.of(rig);
         let (found, touch_rad_s) = examined(rig, signs, OtherSigns::Fail);
         let name = format!("{defect:?}");
-        judge(&name, &found, &[defect.name()]);
+        compare(&name, &found, &[defect.name()]);
         assert!(touch_rad_s < 2.0, "{seed} {name}: a stop was touched at {touch_rad_s} rad/s");
     }
     if !are_right {
@@ -113,15 +113,15 @@ fn no_verdict_is_wrong_on_216_rigs() {
 /// The variables `RIGS` and `SEED` give the number of rigs and the first seed:
 /// `cargo test --test virtual_time wrong_on_many_rigs -- --ignored --nocapture`.
 #[test]
-#[ignore = "minutes"]
+#[ignore = "takes minutes"]
 fn no_verdict_is_wrong_on_many_rigs() {
     let first = number("SEED", FIRST_SEED);
     trial(first..first + number("RIGS", 2000));
 }
 
-/// Arms at a stop or up to 0.3 rad from it, with both encoders alive or one of them dead; the
-/// assumed signs are right on some rigs and wrong on others. Each of the eight wirings meets either
-/// stop at each distance, and half of these rigs are nominal.
+/// Examines arms at a stop or up to 0.3 rad from it, with both encoders alive or one of them dead;
+/// the assumed signs are right on some rigs and wrong on others. Each of the eight wirings meets
+/// either stop at each distance, and half of these rigs are nominal.
 #[test]
 fn the_probe_touches_no_stop_hard() {
     for seed in 0..64 {

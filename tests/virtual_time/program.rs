@@ -14,17 +14,17 @@ pub fn program(directory: &Path) -> Command {
 
 /// Runs the program to its end.
 pub fn qube_hil(directory: &Path, arguments: &[&str]) -> Output {
-    program(directory).args(arguments).output().expect("it runs")
+    program(directory).args(arguments).output().expect("the program runs")
 }
 
-/// Checks that the program has succeeded; returns what it has printed on stdout.
+/// Checks that the program has succeeded; returns its output on stdout.
 #[track_caller]
 pub fn succeeded(output: &Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout.clone()).expect("UTF-8")
 }
 
-/// Runs the program, which must succeed; returns what it prints on stdout.
+/// Runs the program, which must succeed; returns its output on stdout.
 #[track_caller]
 pub fn succeeds(directory: &Path, arguments: &[&str]) -> String {
     println!("{arguments:?}");
@@ -36,7 +36,7 @@ pub fn succeeds(directory: &Path, arguments: &[&str]) -> String {
 pub fn has_refused(output: &Output, code: i32, words: &[&str]) {
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(code), "{stderr}");
-    assert!(output.stdout.is_empty(), "it printed a result");
+    assert!(output.stdout.is_empty(), "the program printed a result");
     for word in words {
         assert!(stderr.contains(word), "{word:?} is missing in: {stderr}");
     }

@@ -34,11 +34,11 @@ fn commands(page: &str) -> Vec<String> {
     blocks.map(read).collect()
 }
 
-/// Checks pages in Chromium. Where there is none, the check says that it is skipped, or fails if
+/// Checks pages in Chromium. Without Chromium the check says that it is skipped, or fails if
 /// `QUBE_HIL_REQUIRE_BROWSER` is set.
 fn look_at(pages: &[&Path]) {
-    let skipped = |why: &str| {
-        say_skipped("the look at the pages in a browser", why, &["QUBE_HIL_REQUIRE_BROWSER"]);
+    let skipped = |reason: &str| {
+        say_skipped("the check of pages in a browser", reason, &["QUBE_HIL_REQUIRE_BROWSER"]);
     };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/report-check");
     let output = match Command::new(script).args(pages).output() {
@@ -68,9 +68,7 @@ fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
     assert!(!page.contains("<img"), "a name became markup");
     let best = format!("{:.1}", told["best"]["mean_return"].as_f64().unwrap());
     assert!(page.contains(&format!("a mean return of {best} of at most 600")), "{best}");
-    for section in
-        ["What the search did", "Rollouts", "What the search believes", "Timing", "Provenance"]
-    {
+    for section in ["Search", "Rollouts", "Surrogate of the return", "Timing", "Provenance"] {
         assert!(page.contains(&format!("<h2>{section}</h2>")), "{section}");
     }
     // The page is the same when it is written again.
@@ -112,10 +110,8 @@ fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
     fs::rename(folder.join("ledger.jsonl"), folder.join("ledger.lost")).unwrap();
     let output = qube_hil(directory, &["report", HOSTILE]);
     let told = String::from_utf8(output.stderr).unwrap();
-    assert!(
-        output.status.code() == Some(3) && told.contains("ledger.jsonl says nothing"),
-        "{told}"
-    );
+    let words = "ledger.jsonl has no candidates";
+    assert!(output.status.code() == Some(3) && told.contains(words), "{told}");
     assert_eq!(fs::read_to_string(&path).unwrap(), page);
     look_at(&[&path, &directory.join("poorer.html")]);
 }

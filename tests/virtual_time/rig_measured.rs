@@ -133,11 +133,11 @@ fn shipped(name: &str) -> Policy {
 /// Errors of the arm's and the pendulum's angle in the last sample, measured from the rollout's
 /// zeros, rad. Whole turns of the pendulum are no error.
 fn errors_rad(bench: &Bench, recording: &Recording) -> (f64, f64) {
-    let (sample, truly) = bench.last.lock().unwrap().unwrap();
+    let (sample, true_state) = bench.last.lock().unwrap().unwrap();
     let (theta_rad, alpha_rad) = recording.header.settings.calibration.angles_rad(&sample);
-    let off_rad = alpha_rad - truly.alpha;
+    let off_rad = alpha_rad - true_state.alpha;
     let turns = (off_rad / TAU).round();
-    ((theta_rad - truly.theta).abs(), (off_rad - turns * TAU).abs())
+    ((theta_rad - true_state.theta).abs(), (off_rad - turns * TAU).abs())
 }
 
 /// Runs a rollout, lets an encoder fail, and runs the next rollout as `run` does. The fault occurs
@@ -361,7 +361,7 @@ fn after_homing_by_hand_offset_and_accepted_travel_bound_the_box() {
                 let expected_rad = (nearer_rad - 0.09).min(SafetyBox::GUARDED.theta);
                 assert!((settings.safety_box.theta - expected_rad).abs() < 0.02, "{settings:?}");
                 let pushed_rad = pushed_rad(&recording);
-                assert!(pushed_rad > 0.3, "nobody pushed: {pushed_rad} rad");
+                assert!(pushed_rad > 0.3, "the policy moved the arm by only {pushed_rad} rad");
                 let contact_rad_s = bench.wire().fastest_contact_rad_s();
                 assert!(contact_rad_s == 0.0, "{half_rad} {theta_offset_rad}: {contact_rad_s}");
             }
@@ -419,7 +419,7 @@ fn unusual_stops_need_the_operators_acceptance_and_then_bound_the_box() {
                 let pushed_rad = pushed_rad(&recording);
                 // The fourth policy, the classical controller, need not push the arm outward.
                 let pushes = number != 3;
-                assert!(!pushes || pushed_rad > 0.3, "nobody pushed: {pushed_rad} rad");
+                assert!(!pushes || pushed_rad > 0.3, "the arm moved by only {pushed_rad} rad");
                 let after = bench.wire().fastest_contact_rad_s();
                 assert!(after <= before, "{stops_rad:?} {theta_offset_rad}: {after} rad/s");
             }

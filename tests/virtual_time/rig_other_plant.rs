@@ -16,7 +16,7 @@ use qube_hil::telemetry::{Ending, Fault, Phase};
 
 use crate::program::program;
 
-/// The shipped example, with a smaller largest voltage, so that the test tells it from a Qube's.
+/// Writes the shipped example with a largest voltage of 4.5 V, which differs from a Qube's 5 V.
 fn plant_file(directory: &Path) -> PlantModel {
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("plants/furuta-130.toml");
     let text = std::fs::read_to_string(shipped).unwrap();
@@ -110,7 +110,7 @@ fn a_high_resistance_motor_passes_and_is_found_when_dead() {
             .assert()
             .success();
 
-        // A motor without a supply is still found.
+        // A motor without a supply is found, too.
         let fault = Some(EmulatorFault::DeadMotor { after_s: 0.0 });
         let dead = EmulatorSettings { model: plant.nominal(), fault, ..Default::default() };
         let settings = RigSettings { plant, ..RigSettings::emulated(dead.of_plant(&plant)) };

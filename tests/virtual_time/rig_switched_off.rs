@@ -1,7 +1,6 @@
-//! Tests that a Qube that was switched off, or whose emergency stop was opened, does not move again
-//! before somebody has acknowledged the doubt, whenever that happened; that a doubt is stored
-//! before the motion has ended; and that the middle of a homing by hand is lost when the arm's
-//! count jumps.
+//! Tests that a Qube that was switched off at any time, or whose emergency stop was opened, does
+//! not move again before somebody has acknowledged the doubt; that a doubt is stored before the
+//! motion has ended; and that the middle of a homing by hand is lost when the arm's count jumps.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -151,8 +150,11 @@ fn a_qube_that_is_switched_off_in_a_rollout_waits_for_the_operator() {
         let asked_ns = bench.clock.now_ns();
         let error = bench.rig.start_again().unwrap_err();
         is_doubt(&error, Fault::QubeOff);
-        assert!(bench.clock.now_ns() - asked_ns < 3 * SECOND_NS, "it waited for the Qube");
-        assert!(bench.has_stored_doubt(), "the next program would drive it at once");
+        assert!(bench.clock.now_ns() - asked_ns < 3 * SECOND_NS, "the program waited for the Qube");
+        assert!(
+            bench.has_stored_doubt(),
+            "no doubt is stored, so the next program would drive the Qube"
+        );
     }
 }
 
@@ -293,5 +295,5 @@ fn a_doubt_is_stored_while_the_arm_is_still_damped() {
     let bench = Bench::with(Some(frozen), HomingMethod::Hand, device, folder).unwrap();
     let Ending::Fault(fault) = bench.rollout("a.mcap").unwrap() else { panic!("no fault") };
     assert!(fault.leaves_doubt(), "{fault:?}");
-    assert!(has_come.load(Ordering::Relaxed), "a program that is killed while it damps forgets");
+    assert!(has_come.load(Ordering::Relaxed), "no doubt was stored while the arm was damped");
 }

@@ -12,8 +12,8 @@ use qube_hil::storage::MachineDisk;
 use qube_hil::telemetry::Ending;
 
 /// The endings of three rollouts of a Qube that is `lab` with this factor on one parameter, under
-/// the profile `lab`; each with whether the guard still had the profile when it began. Checks that
-/// a motion against the profile is recorded, and that a replay finds the same.
+/// the profile `lab`; each with whether the guard still had the profile at its beginning. Checks
+/// that a contradiction of the profile is recorded, and that a replay finds the same one.
 fn rollouts(parameter: DomainParameter, factor: f64) -> Vec<(Ending, bool)> {
     let mut model = Profile::lab().model();
     model.parameters.set(parameter, factor * model.parameters.get(parameter));
@@ -53,8 +53,8 @@ fn a_qube_that_moves_unlike_its_profile_is_guarded_as_an_unknown_one_from_then_o
         let because = format!("{parameter:?} times {factor}: {rollouts:?}");
         let first = rollouts.iter().position(|(ending, _)| *ending == unpredicted);
         assert_eq!(first.is_some(), ends_the_trust, "{because}");
-        for (number, (_, knows)) in rollouts.iter().enumerate() {
-            assert_eq!(*knows, first.is_none_or(|first| number <= first), "{because}");
+        for (number, (_, has_profile)) in rollouts.iter().enumerate() {
+            assert_eq!(*has_profile, first.is_none_or(|first| number <= first), "{because}");
         }
     }
 }

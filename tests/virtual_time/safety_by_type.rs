@@ -78,8 +78,8 @@ fn a_device_that_declares_nothing_is_hardware_before_and_after_it_has_answered()
     assert!(!RigSettings::in_virtual_time(DeviceChoice::Emulated).is_hardware());
     let rig = Rig::connect(&silent, &Arc::default()).unwrap();
     assert!(rig.is_hardware());
-    // This device does not declare that it is emulated, so it is hardware, whatever its transport
-    // declares.
+    // This device does not declare that it is emulated, so it is hardware, even if its transport
+    // declares an emulator.
     let way = Way { declares_emulated: true };
     let rig = Rig::connect(
         &RigSettings::in_virtual_time(DeviceChoice::Other(Arc::new(way))),

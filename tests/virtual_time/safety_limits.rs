@@ -79,7 +79,7 @@ fn guard_box_with_accept_hard_stop_is_accepted() {
     assert!(!directory.path().join("session").exists(), "a session without a Qube was begun");
     let settings = SessionSettings::quick().with_guard(Guard::Box).to_toml().unwrap();
     drop(SessionFolder::create(&directory.path().join("session"), &settings).unwrap());
-    // The session's settings name the guard, and each process that drives asks for consent again.
+    // The session's settings name the guard, and each process that drives needs consent again.
     let resume = ["session", "--resume", "session"];
     let named = ["session.toml", "guard", "--accept-hard-stop"];
     refused(directory.path(), &[&resume, &PORT[..]].concat(), &named);

@@ -1,4 +1,4 @@
-//! Tests foresight against an adversary that knows only what foresight promises, in a search small
+//! Tests foresight against an adversary that knows only the promise of foresight, in a search small
 //! enough for every run of the tests.
 //!
 //! `cargo run --release --example strangers_adversary` searches at full size. The search of these

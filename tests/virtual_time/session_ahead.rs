@@ -46,8 +46,8 @@ fn open(root: &Path, settings: &SessionSettings, executor: Arc<dyn Executor>) ->
     Session::open(folder, settings.clone(), rig, Arc::default()).unwrap().trained_by(executor)
 }
 
-/// Trains up to `threads` policies at a time, and delays each training by a time that differs from
-/// job to job and from one executor to the next.
+/// An executor that trains up to `threads` policies at a time, and delays each training by a time
+/// that differs from job to job and from one executor to the next.
 struct Dawdling {
     threads: usize,
     seed: u64,
@@ -124,8 +124,8 @@ fn a_session_has_the_same_bytes_however_long_its_trainings_take() {
 /// incumbent's policy, and 6, the recommendation, trains meanwhile.
 const TRAINED: [u64; 6] = [0, 1, 2, 3, 4, 6];
 
-/// Holds the training of each candidate after the initial ones back until the rollout of the
-/// candidate before it has ended.
+/// An executor that holds back the training of each candidate after the initial ones until the
+/// rollout of the candidate before it has ended.
 struct Holding {
     jobs: AtomicU64,
     /// The candidate whose training began last.
@@ -220,7 +220,7 @@ fn a_stop_while_the_qube_waits_ends_the_trainings_and_the_session_goes_on_to_the
                 stops += 1;
             }
         }
-        assert!(stops < 100, "it never comes to an end");
+        assert!(stops < 100, "the session never ends");
     }
     assert!(stops > 3, "{stops}");
     let (found, expected) = (files_of(&root), files_of(&whole));
@@ -229,7 +229,7 @@ fn a_stop_while_the_qube_waits_ends_the_trainings_and_the_session_goes_on_to_the
     }
 }
 
-/// Carries out the first `left` trainings and fails every later one.
+/// An executor that carries out the first `left` trainings and fails every later one.
 struct Failing {
     left: AtomicU64,
 }

@@ -107,7 +107,9 @@ fn a_resumed_session_tries_a_given_up_rollout_as_often_again() {
     let path = SessionFolder::open(&root).unwrap().paths().ledger();
     // Three more faults, after which the session gives the rollout up.
     let mut ledger = Ledger::open(&MachineDisk, &path).unwrap();
-    let Some(&Entry::RolloutVoid { candidate, .. }) = ledger.entries().last() else { panic!() };
+    let Some(&Entry::RolloutVoid { candidate, .. }) = ledger.entries().last() else {
+        panic!("the last entry is no void rollout");
+    };
     let void = |attempt| Entry::RolloutVoid { candidate, rollout: 0, attempt, rig: None };
     (1..4).for_each(|attempt| ledger.append(void(attempt)).unwrap());
     drop(ledger);
@@ -175,7 +177,9 @@ fn a_doubt_ends_a_session_until_somebody_has_acknowledged_it() {
         run_with(SessionFolder::open(&root).unwrap(), None, acknowledged).unwrap();
         // After the acknowledgement the Qube was examined before the rollout, although it is
         // emulated.
-        let Some(&Entry::RolloutVoid { candidate, rollout, .. }) = before.last() else { panic!() };
+        let Some(&Entry::RolloutVoid { candidate, rollout, .. }) = before.last() else {
+            panic!("the last entry is no void rollout");
+        };
         let path = SessionFolder::open(&root)
             .unwrap()
             .paths()

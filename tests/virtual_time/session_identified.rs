@@ -56,7 +56,10 @@ fn a_qube_is_identified_and_the_search_varies_the_errors_of_its_profile() {
     let profile = Profile::parse(&text).unwrap();
     let delay_s = profile.nonidealities.command_delay_s;
     assert!((0.008..0.014).contains(&delay_s), "{delay_s}");
-    assert!(!profile.may_be_of_board("0123456789abcdef"), "it is of an emulated board");
+    assert!(
+        !profile.may_be_of_board("0123456789abcdef"),
+        "the profile of an emulated board may be of a real one"
+    );
 
     // The first candidate is trained at psi = 0, the Qube as it was identified, the second at
     // another psi.
@@ -369,7 +372,8 @@ fn a_later_fit_that_fails_is_told_and_a_policy_for_an_unknown_qube_competes_from
     let model = Profile::lab().model();
     let mut other = model;
     other.parameters.rotary_mass_kg *= 3.0;
-    // Resumed at the moment of the failed fit, the session neither fits nor enters it again.
+    // Resumed at the moment of the failed fit, the session neither repeats the fit nor enters it
+    // into the ledger again.
     let (mut failed, mut trainings) = (Vec::new(), [0, 0]);
     for connections in [0, 1] {
         let stop = Arc::new(AtomicBool::new(false));

@@ -44,7 +44,7 @@ fn the_incumbents_policy_is_verified_beside_the_recommendation_and_the_better_is
     );
     assert_eq!((searched.len(), incumbent["returns"].as_array().unwrap().len()), (4, 2));
 
-    let luckiest = searched.iter().max_by(|a, b| mean(a).total_cmp(&mean(b))).unwrap();
+    let luckiest = searched.iter().max_by(|one, other| mean(one).total_cmp(&mean(other))).unwrap();
     assert_eq!(policy(directory.path(), incumbent), policy(directory.path(), luckiest));
     assert_eq!(incumbent["psi"], luckiest["psi"]);
 

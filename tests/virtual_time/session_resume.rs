@@ -95,15 +95,15 @@ fn signal(child: &Child, signal: Signal) {
 }
 
 #[test]
-fn killed_again_and_again_the_ledger_is_that_of_an_undisturbed_session() {
+fn a_session_killed_again_and_again_writes_the_ledger_of_an_undisturbed_one() {
     for settings in [small, ahead, identified] {
         let resumed = UPDATES.into_iter().any(|updates| is_killed_and_resumed(&settings(updates)));
         assert!(resumed, "every session ended before a kill");
     }
 }
 
-/// Kills a session again and again and compares its ledger with that of an undisturbed session;
-/// returns whether there was time for a kill.
+/// Kills a session again and again and compares its ledger with the ledger of an undisturbed
+/// session; returns whether there was time for a kill.
 fn is_killed_and_resumed(settings: &str) -> bool {
     let directory = tempfile::tempdir().unwrap();
     let begin = |name| begin_with(directory.path(), name, settings);
@@ -156,12 +156,12 @@ fn is_stopped_and_resumed(kind: Signal, expected: i32, updates: u32) -> bool {
     let directory = tempfile::tempdir().unwrap();
     let mut child = begin(directory.path(), "stopped", updates);
     let has_ended = loop {
-        // The session may end between the two checks, so the ledger is looked for last.
+        // The session may end between the two checks, so the test looks for the ledger last.
         let has_ended = child.try_wait().unwrap().is_some();
         if !ledger(directory.path(), "stopped").is_empty() {
             break has_ended;
         }
-        assert!(!has_ended, "it ended without a ledger");
+        assert!(!has_ended, "the session ended without a ledger");
         std::thread::sleep(Duration::from_millis(5));
     };
     if !has_ended {
@@ -308,7 +308,7 @@ fn a_finished_recording_that_was_cut_is_data_lost() {
     assert_eq!(code, Some(3), "{told}");
     assert!(told.contains("rollout-0-attempt-0.mcap") && told.contains("missing"), "{told}");
 
-    // A session that is not over notices it before it goes on.
+    // A session that is not over reports the missing recording before it goes on.
     let ledger = directory.path().join("mine/ledger.jsonl");
     let entries = std::fs::read_to_string(&ledger).unwrap();
     let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 4).collect();
@@ -367,7 +367,7 @@ fn a_recording_in_the_place_of_another_is_not_counted_twice() {
     refuses("003/rollout-0-attempt-0.mcap", "001/rollout-0-attempt-0.mcap");
     refuses("001/rollout-0-attempt-0.mcap", "001/rollout-1-attempt-0.mcap");
 
-    // A session that was killed before it entered its last recording does not take another over.
+    // A session that was killed before it entered its last recording does not adopt another.
     let ledger = directory.path().join("mine/ledger.jsonl");
     let entries = std::fs::read_to_string(&ledger).unwrap();
     let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 1).collect();

@@ -72,7 +72,7 @@ fn json(output: &Output) -> Value {
     serde_json::from_str(told.lines().last().unwrap()).unwrap()
 }
 
-/// Kills a session again and again and compares its files with those of an undisturbed session;
+/// Kills a session again and again and compares its files with the files of an undisturbed session;
 /// returns whether there was time for a kill.
 fn is_killed_and_resumed(rig_policy: &str, first_file: &str, updates: u32) -> bool {
     let whole = with_settings(updates);
@@ -80,12 +80,12 @@ fn is_killed_and_resumed(rig_policy: &str, first_file: &str, updates: u32) -> bo
     let killed = with_settings(updates);
     let mut child: Child = session_command(killed.path(), &begin(rig_policy)).spawn().unwrap();
     loop {
-        // The session may end between the two checks, so the file is looked for last.
+        // The session may end between the two checks, so the test looks for the file last.
         let has_ended = child.try_wait().unwrap().is_some();
         if killed.path().join("two").join(first_file).exists() {
             break;
         }
-        assert!(!has_ended, "it ended without {first_file}");
+        assert!(!has_ended, "the session ended without {first_file}");
         std::thread::sleep(Duration::from_millis(2));
     }
     let mut kills = 0;

@@ -81,18 +81,18 @@ const DEFAULT_START_TIMEOUT_S: u64 = 90;
 
 #[test]
 fn systemd_stops_restarting_a_session_that_crashes_repeatedly() {
-    let (interval, burst) =
+    let (interval_s, burst) =
         (seconds("Unit", "StartLimitIntervalSec"), seconds("Unit", "StartLimitBurst"));
     // The longest life of a session that only checks, homes and hangs: the manager's timeout for
     // its start, its watchdog, and its time to stop.
-    let start = given_seconds("Service", "TimeoutStartSec").unwrap_or(DEFAULT_START_TIMEOUT_S);
-    let hangs = start + seconds("Service", "WatchdogSec") + seconds("Service", "TimeoutStopSec");
-    let between_starts = hangs + seconds("Service", "RestartSec");
+    let start_s = given_seconds("Service", "TimeoutStartSec").unwrap_or(DEFAULT_START_TIMEOUT_S);
+    let life_s = start_s + seconds("Service", "WatchdogSec") + seconds("Service", "TimeoutStopSec");
+    let between_starts_s = life_s + seconds("Service", "RestartSec");
     assert!(
-        burst * between_starts < interval,
-        "{burst} x {between_starts} s do not fit {interval} s"
+        burst * between_starts_s < interval_s,
+        "{burst} x {between_starts_s} s do not fit into {interval_s} s"
     );
-    assert!((2..=5).contains(&burst), "{burst} times homed unattended");
+    assert!((2..=5).contains(&burst), "the Qube is homed {burst} times unattended");
 }
 
 #[test]

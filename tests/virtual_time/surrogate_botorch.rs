@@ -77,14 +77,14 @@ fn fixtures_in(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[test]
-fn botorch_fixtures_of_this_repository() {
+fn the_surrogate_agrees_with_the_botorch_fixtures_of_this_repository() {
     let found = fixtures_in(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures"));
     assert!(!found.is_empty());
     found.iter().for_each(|path| compare(path));
 }
 
 #[test]
-fn botorch_fixtures_from_outside() {
+fn the_surrogate_agrees_with_botorch_fixtures_from_outside() {
     let shared = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/fixtures");
     let named = std::env::var_os("QUBE_HIL_FIXTURES").map(PathBuf::from);
     let folder = named.clone().unwrap_or_else(shared);
@@ -92,8 +92,8 @@ fn botorch_fixtures_from_outside() {
     if found.is_empty() {
         // A folder that was named explicitly must not be skipped.
         assert!(named.is_none(), "no botorch_fixture_*.json in {}", folder.display());
-        let why = format!("no botorch_fixture_*.json in {}", folder.display());
-        return say_skipped("botorch_fixtures_from_outside", why, &[]);
+        let reason = format!("no botorch_fixture_*.json in {}", folder.display());
+        return say_skipped("a comparison with BoTorch from outside", reason, &[]);
     }
     found.iter().for_each(|path| compare(path));
 }
@@ -143,16 +143,16 @@ fn compare(path: &Path) {
     }
 }
 
-fn process_at(data: &Dataset, kernel: Kernel, h: &BotorchHyperparameters) -> GaussianProcess {
-    GaussianProcess::new(data.clone(), kernel, translated(h)).unwrap()
+fn process_at(data: &Dataset, kernel: Kernel, theirs: &BotorchHyperparameters) -> GaussianProcess {
+    GaussianProcess::new(data.clone(), kernel, translated(theirs)).unwrap()
 }
 
-fn translated(h: &BotorchHyperparameters) -> Hyperparameters {
+fn translated(theirs: &BotorchHyperparameters) -> Hyperparameters {
     Hyperparameters {
-        mean: h.mean_constant,
-        lengthscales: h.lengthscale.clone(),
-        signal_variance: h.outputscale,
-        noise_variance: h.noise,
+        mean: theirs.mean_constant,
+        lengthscales: theirs.lengthscale.clone(),
+        signal_variance: theirs.outputscale,
+        noise_variance: theirs.noise,
     }
 }
 
@@ -171,7 +171,8 @@ fn at_given_hyperparameters(
     // Their gradients are with respect to raw parameters: l = ln(1 + exp(raw)) for gamma priors,
     // and l = raw otherwise. A gradient near 0 is a difference of larger terms, so the error is
     // relative to the largest component, or to 1 if that is larger.
-    let size = theirs.d_lml_d_raw_lengthscale.iter().fold(1.0_f64, |most, g| most.max(g.abs()));
+    let gradients = theirs.d_lml_d_raw_lengthscale.iter();
+    let size = gradients.fold(1.0_f64, |most, gradient| most.max(gradient.abs()));
     for ((ours, l), raw) in evidence
         .d_log_lengthscales
         .iter()
@@ -198,8 +199,8 @@ fn at_given_hyperparameters(
             criterion.score(posterior.mean, posterior.deviation()).value
         };
         close_logarithms(name, "log EI", score(&log_improvement), theirs.log_ei[i]);
-        // BoTorch's plain EI is a difference that drowns in rounding far out; its own log EI shows
-        // the correct value.
+        // BoTorch's plain expected improvement (EI) is a difference, which rounding dominates far
+        // from the incumbent; its own log EI gives the correct value.
         let sound = theirs.log_ei[i] > -30.0;
         let expected = if sound { theirs.ei[i] } else { theirs.log_ei[i].exp() };
         close(name, "EI", score(&improvement), expected);
@@ -209,17 +210,20 @@ fn at_given_hyperparameters(
 }
 
 /// Checks that two numbers differ by less than a relative 1e-9.
-fn close(name: &str, what: &str, ours: f64, theirs: f64) {
+fn close(name: &str, quantity: &str, ours: f64, theirs: f64) {
     let error = (ours - theirs).abs() / theirs.abs();
     assert!(
         ours == theirs || error < 1e-9,
-        "{name}: {what} is {ours}, BoTorch has {theirs} (relative {error:e})"
+        "{name}: {quantity} is {ours}, BoTorch has {theirs} (relative {error:e})"
     );
 }
 
 /// Checks that two logarithms differ by less than 1e-9, or by a relative 1e-9 if they exceed 1 in
 /// magnitude.
-fn close_logarithms(name: &str, what: &str, ours: f64, theirs: f64) {
+fn close_logarithms(name: &str, quantity: &str, ours: f64, theirs: f64) {
     let error = (ours - theirs).abs() / theirs.abs().max(1.0);
-    assert!(error < 1e-9, "{name}: {what} is {ours}, BoTorch has {theirs} (relative {error:e})");
+    assert!(
+        error < 1e-9,
+        "{name}: {quantity} is {ours}, BoTorch has {theirs} (relative {error:e})"
+    );
 }

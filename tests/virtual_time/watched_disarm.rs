@@ -19,9 +19,9 @@ pub struct Timed {
     pub clock: VirtualClock,
     /// Time from which the device confirms no disarm, ns.
     pub off_unconfirmed_from_ns: Nanoseconds,
-    /// Place in which each disarm looks for a stored doubt; `None` looks for none.
+    /// Place in which each disarm looks for a stored doubt; with `None` it does not look.
     pub awaited: Option<AwaitedDoubt>,
-    /// Whether the computer stalls for 60 ms before the next disarm, so that the watchdog trips.
+    /// True if the computer stalls for 60 ms before the next disarm, so that the watchdog trips.
     pub stalls: Arc<AtomicBool>,
 }
 

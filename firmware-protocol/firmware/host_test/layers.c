@@ -101,7 +101,7 @@ static void arm(struct device *device, uint16_t sequence, uint32_t now_us)
     greet(device, sequence, now_us, false);
     ask(device, REQUEST_ARM, sequence, device->nonce, 4, now_us, &reply);
     if (device->state != STATE_ARMED) {
-        printf(" it does not arm");
+        printf(" the device does not arm");
     }
 }
 
@@ -139,38 +139,38 @@ static void answer(const char *kind, const char *first, const char *second, cons
 {
     struct device device;
     struct link_frame reply;
-    long long a = strtoll(first, NULL, 0);
-    long long b = second ? strtoll(second, NULL, 0) : 0;
+    long long first_number = strtoll(first, NULL, 0);
+    long long second_number = second ? strtoll(second, NULL, 0) : 0;
     if (!strcmp(kind, "stream") || !strcmp(kind, "again")) {
         feed_hex(first, kind[0] == 'a');
     } else if (!strcmp(kind, "motor")) {
-        uint16_t word = motor_word(motor_counts((int16_t)a));
-        printf(" %d 0x%04x %d", motor_counts((int16_t)a), word, motor_word_mv(word));
+        uint16_t word = motor_word(motor_counts((int16_t)first_number));
+        printf(" %d 0x%04x %d", motor_counts((int16_t)first_number), word, motor_word_mv(word));
     } else if (!strcmp(kind, "current")) {
-        printf(" %d", current_ma((uint16_t)a));
+        printf(" %d", current_ma((uint16_t)first_number));
     } else if (!strcmp(kind, "tachometer")) {
-        printf(" %" PRId32, tachometer_counts_s((uint32_t)a));
+        printf(" %" PRId32, tachometer_counts_s((uint32_t)first_number));
     } else if (!strcmp(kind, "extend")) {
-        printf(" %" PRId32, extend_counts((int32_t)a, (uint32_t)b));
+        printf(" %" PRId32, extend_counts((int32_t)first_number, (uint32_t)second_number));
     } else if (!strcmp(kind, "newer")) {
-        arm(&device, (uint16_t)b, 0);
+        arm(&device, (uint16_t)second_number, 0);
         device.sample_given = true;
         device.previous_sample_us = 0;
-        printf(" %d", !act(&device, (uint16_t)a, 0, 0, &reply));
+        printf(" %d", !act(&device, (uint16_t)first_number, 0, 0, &reply));
     } else if (!strcmp(kind, "watchdog")) {
-        arm(&device, 1, (uint32_t)a);
-        device_poll(&device, (uint32_t)b);
+        arm(&device, 1, (uint32_t)first_number);
+        device_poll(&device, (uint32_t)second_number);
         printf(" %d 0x%04x", device.state, device.motor_word);
     } else if (!strcmp(kind, "fresh")) {
         uint32_t now_us = third ? (uint32_t)strtoll(third, NULL, 0) : 0;
         arm(&device, 1, now_us);
         device.sample_given = strcmp(second, "none") != 0;
-        device.previous_sample_us = (uint32_t)b;
-        printf(" %d", !act(&device, 2, (uint32_t)a, now_us, &reply));
+        device.previous_sample_us = (uint32_t)second_number;
+        printf(" %d", !act(&device, 2, (uint32_t)first_number, now_us, &reply));
     } else if (!strcmp(kind, "stop")) {
-        stop_switch(a, second);
+        stop_switch(first_number, second);
     } else {
-        printf(" what?");
+        printf(" unknown question");
     }
 }
 

@@ -36,7 +36,7 @@
 #define FREQUENCY_HZ 16000000u
 #define CYCLES_PER_US 16u
 #define BAUD_RATE 500000u
-/* Bits for each byte: start bit, eight data bits, stop bit. simavr itself adds a parity bit that
+/* A byte has ten bits: start bit, eight data bits, stop bit. simavr itself adds a parity bit that
  * does not exist. */
 #define CYCLES_PER_BYTE (10u * FREQUENCY_HZ / BAUD_RATE)
 /* A receiver holds two unread bytes; the third is lost. simavr would hold 64. */
@@ -57,7 +57,7 @@ struct event {
     uint8_t kind;
     uint8_t spcr;
     uint8_t spsr;
-    /* Number of bytes that the program sent since chip select fell, and the first of them. */
+    /* Number of bytes that the program sent since chip select fell, and the first 17 of them. */
     uint8_t sent_bytes;
     uint8_t sent[FRAME_BYTES];
     uint8_t padding[3];
@@ -258,7 +258,8 @@ static void check_baud_rate(void)
     }
 }
 
-/* Moves a byte in each direction every CYCLES_PER_BYTE. */
+/* Moves a byte from the host to the program every CYCLES_PER_BYTE, and keeps simavr's time for the
+ * program's bytes at that. */
 static avr_cycle_count_t on_line_clock(avr_t *unused_avr, avr_cycle_count_t when, void *unused)
 {
     (void)unused_avr;

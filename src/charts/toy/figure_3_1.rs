@@ -52,7 +52,7 @@ pub fn draw(samples: usize, seed: u64) -> anyhow::Result<String> {
     Ok(svg)
 }
 
-/// The log marginal likelihood over lengthscale and noise.
+/// The log marginal likelihood as a function of lengthscale and noise.
 struct Surface {
     /// Log marginal likelihoods: a row for each noise, a column for each lengthscale.
     values: Vec<Vec<f64>>,
@@ -60,7 +60,7 @@ struct Surface {
     highest: f64,
 }
 
-/// The centre of a cell on an axis with this range, as an exponent of ten.
+/// Returns the centre of a cell on an axis with this range, as an exponent of ten.
 fn exponent(range: (f64, f64), cell: usize) -> f64 {
     range.0 + (range.1 - range.0) * (cell as f64 + 0.5) / CELLS as f64
 }
@@ -76,8 +76,9 @@ fn hyperparameters(lengthscale_exponent: f64, noise_exponent: f64) -> Hyperparam
 
 impl Surface {
     fn new(data: &Dataset) -> Result<Self, SurrogateError> {
-        let value = |l: f64, s: f64| {
-            log_marginal_likelihood(data, Kernel::Matern52, &hyperparameters(l, s)).map(|e| e.value)
+        let value = |length: f64, noise: f64| {
+            let parameters = hyperparameters(length, noise);
+            log_marginal_likelihood(data, Kernel::Matern52, &parameters).map(|found| found.value)
         };
         let mut values = Vec::with_capacity(CELLS);
         let mut highest = (f64::NEG_INFINITY, 0.0, 0.0);
@@ -94,24 +95,24 @@ impl Surface {
             }
             values.push(line);
         }
-        // A finer grid covers the best cell and its neighbours.
+        // A finer grid around the best cell's centre reaches to the centres of its neighbours.
         let cell = |range: (f64, f64)| (range.1 - range.0) / CELLS as f64;
         let (length, noise) = (highest.1, highest.2);
-        for i in -20..=20 {
-            for j in -20..=20 {
-                let l = length + cell(LENGTHSCALES) * f64::from(i) / 20.0;
-                let s = noise + cell(NOISES) * f64::from(j) / 20.0;
-                let found = value(l, s)?;
+        for length_step in -20..=20 {
+            for noise_step in -20..=20 {
+                let length = length + cell(LENGTHSCALES) * f64::from(length_step) / 20.0;
+                let noise = noise + cell(NOISES) * f64::from(noise_step) / 20.0;
+                let found = value(length, noise)?;
                 if found > highest.0 {
-                    highest = (found, l, s);
+                    highest = (found, length, noise);
                 }
             }
         }
         Ok(Self { values, best: hyperparameters(highest.1, highest.2), highest: highest.0 })
     }
 
-    /// The value at or below which the surface has the lowest colour: the maximum minus nine times
-    /// the maximum's magnitude, or minus 9 if that magnitude is below 1.
+    /// Returns the value at or below which the surface has the lowest colour: the maximum minus
+    /// nine times the maximum's magnitude, or minus 9 if that magnitude is below 1.
     fn floor(&self) -> f64 {
         self.highest - 9.0 * self.highest.abs().max(1.0)
     }
@@ -126,8 +127,8 @@ impl Surface {
             .x_label_area_size(38)
             .y_label_area_size(52)
             .build_cartesian_2d(LENGTHSCALES.0..LENGTHSCALES.1, NOISES.0..NOISES.1)?;
-        let power = |e: &f64| {
-            let value = 10f64.powf(*e);
+        let power = |exponent: &f64| {
+            let value = 10f64.powf(*exponent);
             if value >= 1.0 { format!("{value:.0}") } else { format!("{value:.2}") }
         };
         chart
@@ -168,9 +169,9 @@ impl Surface {
 
         let (height, steps) = (map.dim_in_pixel().1 as i32, 60);
         let (top, bottom) = (34, height - 52);
-        for i in 0..steps {
-            let fraction = f64::from(i) / f64::from(steps - 1);
-            let y = bottom - (bottom - top) * i / steps;
+        for step in 0..steps {
+            let fraction = f64::from(step) / f64::from(steps - 1);
+            let y = bottom - (bottom - top) * step / steps;
             let corners = [(4, y - (bottom - top) / steps - 1), (18, y)];
             scale.draw(&Rectangle::new(corners, viridis(fraction).filled()))?;
         }
@@ -201,18 +202,18 @@ fn runs(levels: impl Iterator<Item = usize>) -> Vec<Run> {
     found
 }
 
-/// A five-pointed star.
+/// Returns a five-pointed star.
 fn star(radius: i32) -> Polygon<(i32, i32)> {
-    let corner = |i: i32| {
-        let angle = std::f64::consts::PI * (f64::from(i) / 5.0 - 0.5);
-        let r = f64::from(radius) * if i % 2 == 0 { 1.0 } else { 0.42 };
-        ((r * angle.cos()).round() as i32, (r * angle.sin()).round() as i32)
+    let corner = |index: i32| {
+        let angle = std::f64::consts::PI * (f64::from(index) / 5.0 - 0.5);
+        let distance = f64::from(radius) * if index % 2 == 0 { 1.0 } else { 0.42 };
+        ((distance * angle.cos()).round() as i32, (distance * angle.sin()).round() as i32)
     };
     Polygon::new((0..10).map(corner).collect::<Vec<_>>(), RED.filled())
 }
 
-/// The colour for a fraction from 0 to 1, from dark violet over green to yellow (after matplotlib's
-/// viridis). Equal steps look equally large, also in grey and to the colour-blind.
+/// Returns the colour for a fraction from 0 to 1, from dark violet over green to yellow (after
+/// matplotlib's viridis). Equal steps look equally large, also in grey and to the colour-blind.
 fn viridis(fraction: f64) -> RGBColor {
     const STOPS: [(f64, f64, f64); 6] = [
         (68.0, 1.0, 84.0),
@@ -224,8 +225,8 @@ fn viridis(fraction: f64) -> RGBColor {
     ];
     let place = fraction * (STOPS.len() - 1) as f64;
     let below = (place.floor() as usize).min(STOPS.len() - 2);
-    let t = place - below as f64;
-    let (a, b) = (STOPS[below], STOPS[below + 1]);
-    let mix = |a: f64, b: f64| (a + t * (b - a)).round() as u8;
-    RGBColor(mix(a.0, b.0), mix(a.1, b.1), mix(a.2, b.2))
+    let weight = place - below as f64;
+    let (low, high) = (STOPS[below], STOPS[below + 1]);
+    let mix = |low: f64, high: f64| (low + weight * (high - low)).round() as u8;
+    RGBColor(mix(low.0, high.0), mix(low.1, high.1), mix(low.2, high.2))
 }

@@ -81,15 +81,15 @@ fn acquisition_panel(
     values: &[(f64, f64)],
     next: f64,
 ) -> anyhow::Result<()> {
-    let highest = values.iter().map(|v| v.1).fold(f64::NEG_INFINITY, f64::max);
-    let lowest = values.iter().map(|v| v.1).fold(f64::INFINITY, f64::min);
-    let room = 0.1 * (highest - lowest).max(1e-12);
+    let highest = values.iter().map(|value| value.1).fold(f64::NEG_INFINITY, f64::max);
+    let lowest = values.iter().map(|value| value.1).fold(f64::INFINITY, f64::min);
+    let margin = 0.1 * (highest - lowest).max(1e-12);
     let mut chart = ChartBuilder::on(area)
         .margin(6)
         .margin_right(16)
         .x_label_area_size(32)
         .y_label_area_size(50)
-        .build_cartesian_2d(RANGE.0..RANGE.1, lowest..highest + room)?;
+        .build_cartesian_2d(RANGE.0..RANGE.1, lowest..highest + margin)?;
     let short = |value: &f64| match value.abs() {
         0.0 => "0".into(),
         size if size < 0.01 => format!("{value:.3}"),
@@ -108,7 +108,7 @@ fn acquisition_panel(
         .axis_desc_style((FONT, 14))
         .draw()?;
     chart.draw_series(LineSeries::new(values.iter().copied(), GREEN.stroke_width(3)))?;
-    chart.draw_series(vertical(next, lowest, highest + room))?;
+    chart.draw_series(vertical(next, lowest, highest + margin))?;
     Ok(())
 }
 

@@ -1,4 +1,5 @@
-//! The thesis's pictures of its toy problem: how the surrogate and the acquisition functions work.
+//! The thesis's pictures of its toy problem, which explain the surrogate and the acquisition
+//! functions.
 
 mod figure_3_1;
 mod figure_3_2;

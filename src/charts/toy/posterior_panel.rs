@@ -15,16 +15,16 @@ pub const GREY: RGBColor = RGBColor(90, 96, 106);
 /// Colour of a chosen point: the next sample, or the most likely hyperparameters.
 pub const RED: RGBColor = VERMILION;
 
-/// Whether the axes of a panel have names.
+/// The presence of names at the axes of a panel.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum AxisNames {
     Shown,
     Hidden,
 }
 
-/// The values of x at which curves are drawn.
+/// Returns the values of x at which curves are drawn.
 pub fn places() -> impl Iterator<Item = f64> + Clone {
-    (0..=240).map(|i| RANGE.0 + (RANGE.1 - RANGE.0) * f64::from(i) / 240.0)
+    (0..=240).map(|index| RANGE.0 + (RANGE.1 - RANGE.0) * f64::from(index) / 240.0)
 }
 
 /// Draws the posterior: mean, a band of two standard deviations on either side, samples and the
@@ -82,9 +82,9 @@ pub fn draw_key(area: &Area, further: &[(&str, RGBColor)]) -> anyhow::Result<()>
     area.draw(&Rectangle::new([(x, 6), (x + 26, 18)], BLUE.mix(0.18).filled()))?;
     area.draw(&text(x + 32, "± 2 standard deviations"))?;
     x += 220;
-    for i in 0..3 {
+    for dash in 0..3 {
         area.draw(&PathElement::new(
-            vec![(x + 9 * i, 12), (x + 9 * i + 5, 12)],
+            vec![(x + 9 * dash, 12), (x + 9 * dash + 5, 12)],
             GREY.stroke_width(2),
         ))?;
     }

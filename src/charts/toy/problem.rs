@@ -3,10 +3,10 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::surrogate::{Dataset, SearchBox, SurrogateError, normal};
 
-/// Range of x. The thesis does not state its own.
+/// Range of x. The thesis states none.
 pub const RANGE: (f64, f64) = (-1.0, 2.0);
 
-/// The thesis's toy function without its noise (its equation 3.9).
+/// Returns the thesis's toy function without its noise (its equation 3.9).
 pub fn curve(x: f64) -> f64 {
     x.sin() - x * x + 0.7 * x
 }
@@ -36,7 +36,7 @@ impl Samples {
         self.y.push(curve(x) + 0.1 * noise);
     }
 
-    /// The samples as the surrogate's data set.
+    /// Returns the samples as the surrogate's data set.
     pub fn dataset(&self) -> Result<Dataset, SurrogateError> {
         let search_box = SearchBox::new(vec![RANGE.0], vec![RANGE.1])?;
         Dataset::new(&search_box, &self.x, &self.y, None)

@@ -203,8 +203,8 @@ fn noise(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     arguments.finish("noise", pictured, &text, &value, output)
 }
 
-/// The part of a problem's title that describes its trainings; empty if the trainings do not
-/// differ.
+/// Returns the part of a problem's title that describes its trainings; empty if the trainings do
+/// not differ.
 fn trainings_of(problem: TwoHumped) -> String {
     match problem.rollout_correlation {
         0.0 => String::new(),
@@ -233,7 +233,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_that_cannot_be_written_keeps_no_other_from_being_written() {
+    fn the_other_files_are_written_if_one_cannot_be() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("regret.json")).unwrap();
         let arguments = Arguments {

@@ -53,10 +53,10 @@ pub fn map<T: Send>(
 #[cfg(test)]
 mod tests {
     #[test]
-    fn keeps_the_order_on_any_number_of_threads() {
+    fn results_keep_their_order_on_any_number_of_threads() {
         for threads in [1, 4] {
-            let squares = super::map(20, threads, "squares", |i| i * i);
-            assert_eq!(squares, (0..20).map(|i| i * i).collect::<Vec<_>>());
+            let squares = super::map(20, threads, "squares", |index| index * index);
+            assert_eq!(squares, (0..20).map(|index| index * index).collect::<Vec<_>>());
         }
     }
 }

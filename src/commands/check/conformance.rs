@@ -73,7 +73,8 @@ pub fn run(device: &ChosenDevice, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The row of a check in the table. In place of a remedy it shows what the protocol requires.
+/// Returns the row of a check in the table. In place of a remedy it shows the protocol's
+/// requirement.
 fn row(result: &CheckResult) -> Row {
     let promise = result.remedy.clone();
     Row { remedy: promise.map(|promise| ("must be:", promise)), ..Row::from(result) }

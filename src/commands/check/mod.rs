@@ -54,8 +54,8 @@ pub struct Arguments {
     conformance: bool,
 
     /// Use the signs that are found, and write them to a file with the port's lasting name. Other
-    /// entries of the file are kept (of another board's file only those that make it safer), its
-    /// comments are not [without FILE: qube.toml]
+    /// entries of the file are kept (of another board's file only limits, motor rating and homing
+    /// method), its comments are not [without FILE: qube.toml]
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = QUBE_FILE)]
     write: Option<PathBuf>,
 
@@ -164,7 +164,7 @@ struct Files {
 /// The file of `--write`.
 struct WrittenFile {
     path: PathBuf,
-    /// Entries that it begins with.
+    /// Entries with which the file begins.
     base: QubeFile,
 }
 
@@ -215,7 +215,7 @@ impl WrittenFile {
     }
 }
 
-/// The entries of a file with port, board and signs of the Qube that was examined.
+/// Returns the entries of a file with port, board and signs of the Qube that was examined.
 fn of_this_board(base: QubeFile, rig: &Rig, examination: &Examination) -> QubeFile {
     let identity = rig.identity();
     QubeFile {
@@ -226,8 +226,8 @@ fn of_this_board(base: QubeFile, rig: &Rig, examination: &Examination) -> QubeFi
     }
 }
 
-/// The settings of the rig that is checked. The file that `--write` replaces may belong to another
-/// board, so its board is not checked.
+/// Returns the settings of the rig that is checked. The file that `--write` replaces may belong to
+/// another board, so its board is not checked.
 fn rig_settings(device: &ChosenDevice, files: &Files) -> RigSettings {
     let settings = device.rig_settings(
         EmulatorSettings { model: device.plant.nominal(), ..EmulatorSettings::default() },
@@ -238,7 +238,7 @@ fn rig_settings(device: &ChosenDevice, files: &Files) -> RigSettings {
     RigSettings { board, ..settings }
 }
 
-/// The results of the checks for scripts, and the file that was written.
+/// Returns the results of the checks for scripts, and the file that was written.
 fn checked(results: &[CheckResult], written: Option<&PathBuf>) -> Value {
     json!({
         "checks": checks_json(results),
@@ -247,7 +247,7 @@ fn checked(results: &[CheckResult], written: Option<&PathBuf>) -> Value {
     })
 }
 
-/// The table of the checks, with their counts.
+/// Returns the table of the checks, with their counts.
 fn summary(results: &[CheckResult]) -> String {
     let rows: Vec<Row> = results.iter().map(Row::from).collect();
     let count = |verdict| results.iter().filter(|result| result.verdict == verdict).count();
@@ -260,9 +260,9 @@ fn summary(results: &[CheckResult]) -> String {
     )
 }
 
-/// Whether the operator wants the power test. Asks only at a terminal, and only if the file has no
-/// result of that test; otherwise, and at the end of the input, the answer is no. Fails after a
-/// stop request.
+/// Returns whether the operator wants the power test. Asks only at a terminal, and only if the file
+/// has no result of that test; otherwise, and at the end of the input, the answer is no. Fails
+/// after a stop request.
 fn wants_power_test(path: &Path, stop: &Stop) -> Result<bool, Failure> {
     let is_known = QubeFile::load(path).is_ok_and(|file| file.power.is_some());
     if is_known || !std::io::stdin().is_terminal() || !std::io::stderr().is_terminal() {
@@ -277,7 +277,7 @@ fn wants_power_test(path: &Path, stop: &Stop) -> Result<bool, Failure> {
     Ok(answer.unwrap_or(false))
 }
 
-/// The entries that the check and the power test start from when they write the file `path`: those
+/// Returns the entries with which the check and the power test begin the file `path`: the entries
 /// of the existing file, or else of the chosen Qube's file, or else none.
 fn base_file(path: &Path, device: &ChosenDevice) -> Result<QubeFile, Failure> {
     if !device.choice.is_hardware() {

@@ -34,7 +34,8 @@ const STEP_TICKS: u32 = 6000;
 /// Time within which the Qube must answer again after the operator has plugged the cable in.
 const REPLUG: Duration = Duration::from_secs(120);
 
-/// Sentence after each failure while the board is or was without power.
+/// Sentence after each failure once the operator has been asked to pull the plug, unless the device
+/// has confirmed that the motor is off.
 const MAY_HAVE_VOLTAGE: &str =
     "If the USB plug is still out, switch the Qube off: its motor may still have its voltage";
 
@@ -94,7 +95,7 @@ pub fn run(
         .map_err(|failure| failure.followed_by(MAY_HAVE_VOLTAGE))
 }
 
-/// The failure after a press that has shown nothing about a motor without its board.
+/// Returns the failure after a press that has shown nothing about a motor without its board.
 fn without_result(pressed: &Pressed, stop: &Stop) -> Failure {
     let is_off = pressed.motor == MotorState::Off;
     let failure = match (pressed.ending, pressed.fault) {
@@ -122,8 +123,8 @@ fn without_result(pressed: &Pressed, stop: &Stop) -> Failure {
     if is_off { failure } else { failure.followed_by(MAY_HAVE_VOLTAGE) }
 }
 
-/// The second half of the test, from the pulled plug on, in which nobody knows whether the motor is
-/// off.
+/// Carries out the second half of the test, from the pulled plug on, in which it is not known
+/// whether the motor is off.
 fn without_board(
     settings: &RigSettings,
     path: &Path,
@@ -237,8 +238,8 @@ fn rehearse(rig: &mut Rig, stop: &Stop) -> Result<f64, Failure> {
     )))
 }
 
-/// Opens the Qube at its port again as soon as it answers, whichever board it is. Fails after
-/// [`REPLUG`], at a stop request, and at an error that waiting does not cure.
+/// Opens the Qube at its port again as soon as any board answers there. Fails after [`REPLUG`], at
+/// a stop request, and at an error that waiting does not cure.
 fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
     // The caller compares the board with the tested one.
     let settings = RigSettings { board: None, ..settings.clone() };
@@ -258,13 +259,13 @@ fn reconnected(settings: &RigSettings, stop: &Stop) -> Result<Rig, Failure> {
     }
 }
 
-/// Whether the Qube may answer later although opening it failed with this error.
+/// Returns whether the Qube may answer later although opening it failed with this error.
 fn may_come_back(error: &RigError) -> bool {
     matches!(error, RigError::Device(source) if source.is_cured_by_waiting())
 }
 
-/// The failure of a Qube that could not be opened again. A Qube that did not come back is no bad
-/// usage, whatever its port says.
+/// Returns the failure of a Qube that could not be opened again. A Qube that did not come back is
+/// no bad usage, even if its port is missing.
 fn not_reconnected(error: RigError, stop: &Stop) -> Failure {
     let fault = match &error {
         RigError::Device(DeviceError::QubeAbsent { .. }) => Some(Fault::QubeOff),
@@ -280,13 +281,13 @@ fn not_reconnected(error: RigError, stop: &Stop) -> Failure {
     }
 }
 
-/// Asks a question and returns the line that was typed. A failure says that no result was written;
-/// the caller adds the state of the motor.
+/// Asks a question and returns the line that was typed. A failure says that no result was written,
+/// and nothing about the motor.
 fn ask(question: &str, stop: &Stop) -> Result<String, Failure> {
     question::ask(question, stop).ok_or_else(|| unanswered(stop))
 }
 
-/// The failure after a question without an answer.
+/// Returns the failure after a question without an answer.
 fn unanswered(stop: &Stop) -> Failure {
     if stop.requested() {
         return stop.failure("stopped; no result was written");
@@ -337,17 +338,17 @@ mod tests {
             (pressed(Ending::Completed, None, MotorState::Off), 1),
             (pressed(Ending::Stopped, None, MotorState::Off), 130),
             (pressed(Ending::Fault(late), Some(late), MotorState::Off), 4),
-            // The plug is pulled as the time of the press is over.
+            // The plug is pulled at the end of the press.
             (pressed(Ending::Completed, stays_on, MotorState::Unconfirmed), 4),
             (pressed(Ending::Stopped, stays_on, MotorState::Unconfirmed), 130),
             (pressed(Ending::Fault(Fault::Stall), Some(Fault::Stall), MotorState::Unconfirmed), 4),
         ] {
             let failure = without_result(&pressed, &stop);
-            let told = failure.cause().replace(&Fault::OffUnconfirmed.to_string(), "");
-            assert_eq!(failure.ended_by()["exit_code"], exit_code, "{told}");
-            let is_called_off = told.to_lowercase().contains("the motor is off");
+            let cause = failure.cause().replace(&Fault::OffUnconfirmed.to_string(), "");
+            assert_eq!(failure.ended_by()["exit_code"], exit_code, "{cause}");
+            let is_called_off = cause.to_lowercase().contains("the motor is off");
             let is_off = pressed.motor == MotorState::Off;
-            assert_eq!(is_called_off, is_off, "{told}");
+            assert_eq!(is_called_off, is_off, "{cause}");
             assert_eq!(failure.cause().contains(MAY_HAVE_VOLTAGE), !is_off);
         }
     }

@@ -8,8 +8,8 @@ const NAMES: usize = 30;
 /// Largest number of comparisons that the table shows for a plant; the JSON has all of them.
 const SHOWN: usize = 10;
 
-/// The comparisons of recipes on one plant as a table for people, at most 80 columns wide, sorted
-/// by the smaller of their two p-values. The text is empty if the plant has no comparison.
+/// Returns the comparisons of recipes on one plant as a table for people, at most 80 columns wide,
+/// sorted by the smaller of their two p-values. The text is empty if the plant has no comparison.
 pub fn table(comparisons: &[Comparison], plant: &str) -> String {
     let mut comparisons: Vec<_> = comparisons.iter().filter(|it| it.plant == plant).collect();
     if comparisons.is_empty() {
@@ -48,8 +48,8 @@ pub fn table(comparisons: &[Comparison], plant: &str) -> String {
     text
 }
 
-/// A line that says that no difference in success can be significant at 5 % with so few pairs;
-/// empty if one can.
+/// Returns a line that says that no difference in success can be significant at 5 % with so few
+/// pairs; empty if one can.
 fn too_few_pairs(comparisons: &[&Comparison]) -> String {
     let smallest = |it: &&Comparison| it.smallest_success_p();
     let Some(best) = comparisons.iter().min_by(|a, b| smallest(a).total_cmp(&smallest(b))) else {
@@ -77,8 +77,8 @@ mod tests {
     use crate::scoring::{Behaviour, Quietness};
 
     #[test]
-    fn two_recipes_are_one_line_of_at_most_80_columns() {
-        let recipe = |name: &str, earned: f64, behaviour| RecipeResult {
+    fn two_recipes_give_one_line_of_at_most_80_columns() {
+        let recipe = |name: &str, return_: f64, behaviour| RecipeResult {
             recipe: name.into(),
             budget: None,
             plant: "lab".into(),
@@ -88,7 +88,7 @@ mod tests {
                     number,
                     simulated_return: 500.0,
                     rollouts: vec![RolloutResult {
-                        return_: Some(earned + f64::from(number)),
+                        return_: Some(return_ + f64::from(number)),
                         behaviour,
                         quietness: Quietness::NONE,
                     }],

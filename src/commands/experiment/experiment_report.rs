@@ -42,7 +42,7 @@ impl ExperimentReport {
         })
     }
 
-    /// The table for people.
+    /// Returns the table for people.
     pub fn text(&self) -> String {
         match self {
             Self::Recipes(results) => recipe_table::table(results),
@@ -50,7 +50,7 @@ impl ExperimentReport {
         }
     }
 
-    /// The results for scripts.
+    /// Returns the results for scripts.
     pub fn json(&self) -> Value {
         match self {
             Self::Recipes(results) => recipe_table::value(results),
@@ -58,7 +58,7 @@ impl ExperimentReport {
         }
     }
 
-    /// The results as CSV.
+    /// Returns the results as CSV.
     pub fn csv(&self) -> String {
         match self {
             Self::Recipes(results) => recipe_table::csv(results),
@@ -66,8 +66,8 @@ impl ExperimentReport {
         }
     }
 
-    /// Whether this is a regular file that begins as the CSV file of an experiment, this one or
-    /// another.
+    /// Returns whether the path leads to a regular file that begins like the CSV file of an
+    /// experiment, this one or another.
     pub fn is_csv(path: &Path) -> bool {
         let known = [recipe_table::CSV_BEGINS, method_table::CSV_BEGINS];
         MachineDisk
@@ -75,7 +75,7 @@ impl ExperimentReport {
             .is_ok_and(|bytes| known.iter().any(|columns| bytes.starts_with(columns.as_bytes())))
     }
 
-    /// The page for a browser, with the commands that repeat the experiment.
+    /// Returns the page for a browser, with the commands that repeat the experiment.
     ///
     /// # Errors
     /// A search cannot be read, or the data of a figure cannot be written.
@@ -98,8 +98,8 @@ impl ExperimentReport {
         .map_err(|error| error.to_string())
     }
 
-    /// The data of the figures. For recipes they also contain the searches, distributions and
-    /// trainings, which are read here.
+    /// Returns the data of the figures. For recipes they also contain the searches, distributions
+    /// and trainings, which are read here.
     ///
     /// # Errors
     /// A search or a learning curve cannot be read.
@@ -122,8 +122,8 @@ impl ExperimentReport {
 /// Largest number of pairs of recipe and plant whose rollouts a page shows.
 const SHOWN: usize = 20;
 
-/// The first rollout of the best and of the worst policy, by mean return, of each of the first
-/// `SHOWN` pairs of recipe and plant. Rollouts that cannot be read are left out.
+/// Returns the first rollout of the best and of the worst policy, by mean return, of each of the
+/// first `SHOWN` pairs of recipe and plant. Rollouts that cannot be read are left out.
 fn examples(results: &Results) -> NamedRollouts {
     let mut rollouts = NamedRollouts::new();
     // The rows for all plants together repeat the policies of the other rows.
@@ -149,8 +149,8 @@ fn examples(results: &Results) -> NamedRollouts {
     rollouts
 }
 
-/// The fraction of successful repetitions of a method at a budget; `None` without a budget, or
-/// before a repetition is finished.
+/// Returns the fraction of successful repetitions of a method at a budget; `None` without a budget,
+/// or before a repetition is finished.
 fn share_of_plant(result: &RecipeResult) -> Option<ShareOfPlant> {
     let budget = result.budget.filter(|_| !result.policies.is_empty())?;
     let method = result.recipe.strip_suffix(&format!(" {budget}")).unwrap_or(&result.recipe);
@@ -240,7 +240,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_table_is_known_by_its_columns_and_a_pipe_is_none() {
+    fn a_csv_file_is_recognised_by_its_columns_and_a_pipe_is_not_one() {
         let folder = tempfile::tempdir().unwrap();
         let table = folder.path().join("table.csv");
         std::fs::write(&table, format!("{}\n1,2\n", recipe_table::CSV_BEGINS)).unwrap();

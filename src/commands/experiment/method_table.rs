@@ -10,7 +10,7 @@ use crate::experiment::{
 /// Width of the column of the methods' names, characters.
 const NAMES: usize = 13;
 
-/// The table for people: a line of at most 80 columns for each method, then the reasons why
+/// Returns the table for people: a line of at most 80 columns for each method, then the reasons why
 /// recommendations could not be scored.
 pub fn table(results: &MethodResults) -> String {
     let mut text = format!(
@@ -64,7 +64,7 @@ fn line(method: &MethodResult) -> String {
     )
 }
 
-/// The results as JSON, for scripts.
+/// Returns the results as JSON, for scripts.
 pub fn value(results: &MethodResults) -> Value {
     let method = |method: &MethodResult| {
         let needed = method.repetitions.iter().map(Repetition::succeeded_after);
@@ -91,7 +91,7 @@ pub fn value(results: &MethodResults) -> Value {
 /// First columns of the CSV file, by which it is recognised.
 pub const CSV_BEGINS: &str = "strategy,repetition,budget,";
 
-/// The results as CSV, with a line for each recommendation. `refused` is the reason why a
+/// Returns the results as CSV, with a line for each recommendation. `refused` is the reason why a
 /// recommendation could not be scored.
 pub fn csv(results: &MethodResults) -> String {
     let mut text = format!("{CSV_BEGINS}real_rollouts,judges_stood,judges_ran,succeeds,refused\n");

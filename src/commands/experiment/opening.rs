@@ -79,7 +79,7 @@ fn check_resumed_device(
     settings: &ExperimentSettings,
     device: &ChosenDevice,
 ) -> Result<(), Failure> {
-    // `--unidentified` is stored with the plant, whichever it is.
+    // `--unidentified` is stored with every plant, emulated or real.
     let is_real = |plant: &Plant| {
         let unidentified = plant.emulated.unidentified;
         let nothing_emulated = EmulatedQubeSettings { unidentified, ..Default::default() };
@@ -130,8 +130,8 @@ pub fn begun(
     for plant in &mut plants {
         plant.emulated.unidentified = device.unidentified;
     }
-    // The return of a single policy tells more about the luck of its training than about its
-    // recipe, so more policies rather than more rollouts score a recommendation.
+    // The return of a single policy depends more on chance in its training than on its recipe, so
+    // more policies rather than more rollouts score a recommendation.
     let (policies, rollouts) = match &methods {
         Some(methods) if methods.has_budgets() => (1, 5),
         Some(_) => (10, 2),
@@ -179,25 +179,26 @@ fn folder_failure(error: ExperimentError) -> Failure {
     }
 }
 
-/// The settings that the flags give; each recipe sets its model and what its file overrides.
+/// Returns the settings that the flags give; each recipe sets its model and the entries of its
+/// file.
 fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let is_emulated = !device.choice.is_hardware();
-    let knows_the_machine = arguments.preset == Preset::Robust;
+    let is_robust = arguments.preset == Preset::Robust;
     let mut training = arguments.preset.settings_or(TrainSettings::default());
     let estimator = match arguments.estimator.settings(&device.plant)? {
         Some(estimator) => estimator,
-        None if knows_the_machine => EstimatorSettings::default(),
+        None if is_robust => EstimatorSettings::default(),
         None => EstimatorSettings::filter(PUBLISHED_CORNER_RAD_S),
     };
     let encoders = match arguments.sensors {
         Some(sensors) => sensors == Sensors::Encoders,
-        None => knows_the_machine,
+        None => is_robust,
     };
     training.simulation.sensors =
         if encoders { SensorModel::Encoders { estimator } } else { SensorModel::TrueState };
     let guard = match arguments.guard {
         Some(guard) => guard.into(),
-        None if knows_the_machine || !is_emulated => Guard::Foresight,
+        None if is_robust || !is_emulated => Guard::Foresight,
         None => Guard::Box,
     };
     let settings = SessionSettings {
@@ -206,7 +207,7 @@ fn base(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings,
             FamilyArgument::Uniform => Family::Uniform,
         },
         extent: Extent::THESIS,
-        bayrn: if knows_the_machine { BayRnSettings::default() } else { BayRnSettings::thesis() },
+        bayrn: if is_robust { BayRnSettings::default() } else { BayRnSettings::thesis() },
         estimator,
         preset: Some(arguments.preset),
         training,
@@ -266,7 +267,7 @@ pub fn resumed(
         check_homing(&settings, device)?;
         if settings.guard_profile.as_ref().is_some_and(|began| *began != device.guard_profile()) {
             return Err(Failure::usage(
-                "this experiment began with another profile of the Qube, which decides what the guard ends: give \
+                "this experiment began with another profile of the Qube, on which the guard depends: give \
                  --qube with the file and profile as they were, or begin a new experiment",
             ));
         }

@@ -55,7 +55,7 @@ struct ShownTraining<'a> {
 }
 
 impl ExperimentProgress {
-    /// A display for an experiment with these settings.
+    /// Makes a display for an experiment with these settings.
     pub fn new(settings: &ExperimentSettings, progress: &Progress, stop: &Stop) -> Self {
         let (count, item) = match &settings.methods {
             Some(it) if it.has_budgets() => {
@@ -151,8 +151,8 @@ impl ExperimentProgress {
         self.progress.update(|state| self.expect_end(state));
     }
 
-    /// The number of pieces of work that are done, the number of all, and the time left, if it can
-    /// be estimated, such as `3 of 20; about 2 min left`.
+    /// Returns the number of pieces of work that are done, the number of all, and the time left, if
+    /// it can be estimated, such as `3 of 20; about 2 min left`.
     fn done_in_words(&self) -> String {
         let [done, found] = [&self.done, &self.found].map(|count| count.load(Ordering::Relaxed));
         let (made, to_do) = (done.saturating_sub(found), self.count.saturating_sub(done));
@@ -161,7 +161,7 @@ impl ExperimentProgress {
         format!("{done} of {}{left}", self.count)
     }
 
-    /// Shows when the experiment will probably end, judged by the time that the work of this
+    /// Shows the expected end of the experiment, estimated from the time that the work of this
     /// process took. A training in progress counts by its share of updates, but not within a
     /// search, which has many trainings.
     fn expect_end(&self, state: &mut ScreenState) {
@@ -263,7 +263,7 @@ impl ExperimentProgress {
     }
 }
 
-/// A behaviour in the words of the table.
+/// Returns a behaviour in the words of a line.
 fn behaviour_in_words(behaviour: Behaviour) -> &'static str {
     match behaviour {
         Behaviour::Balanced => "balanced",
@@ -284,7 +284,7 @@ mod tests {
     use crate::simulation::Model;
 
     #[test]
-    fn work_that_was_on_disk_tells_nothing_about_the_time_left() {
+    fn work_that_was_on_disk_has_no_effect_on_the_time_left() {
         let recipe = Recipe::of(Model::Nominal, &SessionSettings::thesis());
         let plant = crate::experiment::Plant {
             name: "lab".into(),

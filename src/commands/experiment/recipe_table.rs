@@ -10,7 +10,7 @@ use crate::scoring::{Behaviour, Quietness};
 /// Width of the column of names, characters; longer names are cut.
 const NAME: usize = 20;
 
-/// The table for people, up to 80 columns wide: a block for each plant.
+/// Returns the table for people, up to 80 columns wide: a block for each plant.
 pub fn table(results: &Results) -> String {
     let comparisons = results.comparisons();
     let mut text = String::new();
@@ -76,7 +76,7 @@ pub fn table(results: &Results) -> String {
     text
 }
 
-/// The quietness of a recipe's policies, in the columns of the table.
+/// Returns the quietness of a recipe's policies, in the columns of the table.
 fn quietness_columns(quietness: &Quietness) -> String {
     let columns = match quietness.figures() {
         None => ["-"; 4].map(String::from),
@@ -114,7 +114,7 @@ fn short(name: &str) -> &str {
     name.get(..NAME).unwrap_or(name)
 }
 
-/// The results as JSON, for scripts.
+/// Returns the results as JSON, for scripts.
 pub fn value(results: &Results) -> Value {
     let models: Vec<Value> = results.recipes.iter().map(model).collect();
     json!({ "models": models, "comparisons": results.comparisons() })
@@ -150,7 +150,7 @@ fn model(recipe: &RecipeResult) -> Value {
 /// First columns of the CSV file, by which it is recognised.
 pub const CSV_BEGINS: &str = "recipe,plant,policy,";
 
-/// The results as CSV, with a line for each policy on each plant.
+/// Returns the results as CSV, with a line for each policy on each plant.
 pub fn csv(results: &Results) -> String {
     let mut text = format!("{CSV_BEGINS}simulated_return,mean_return,succeeds");
     for behaviour in Behaviour::ALL {

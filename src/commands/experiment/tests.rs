@@ -10,7 +10,7 @@ struct Alone {
     arguments: Arguments,
 }
 
-/// The failure of a new experiment on a port that does not exist, in `folder/out`.
+/// Begins an experiment in `folder/out` on a port that does not exist; returns the failure.
 fn refused(folder: &Path, recipes: &[(&str, &str)]) -> Failure {
     let mut words = vec!["experiment".to_owned()];
     for (name, settings) in recipes {
@@ -30,10 +30,10 @@ fn recipes_with_different_homing_are_refused_on_a_real_qube_before_anything_move
     let folder = tempfile::tempdir().unwrap();
     let shifted = "[settings.homing]\ntheta_offset_rad = 0.1\n";
     let failure = refused(folder.path(), &[("plain", ""), ("shifted", shifted)]);
-    let told = failure.cause();
-    assert!(failure.is_usage() && told.contains("recipe shifted: its settings.homing"), "{told}");
+    let cause = failure.cause();
+    assert!(failure.is_usage() && cause.contains("recipe shifted: its settings.homing"), "{cause}");
     assert!(!folder.path().join("out").exists());
-    // Recipes that agree get as far as the port.
+    // Recipes that agree reach the check of the port.
     let failure = refused(folder.path(), &[("one", shifted), ("two", shifted)]);
     assert!(failure.cause().contains("no-such-qube"), "{}", failure.cause());
 }

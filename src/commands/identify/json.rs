@@ -9,7 +9,8 @@ use crate::identification::{
     PredictionBand, PredictionRegime, Recordings,
 };
 
-/// The result as `--json` prints it, without the wall time and the path of the profile.
+/// Returns the result as `--json` prints it, without the wall time, the path of the profile and the
+/// noise ratio of the held-out recordings.
 pub fn result(
     identified: &Identified,
     recordings: &Recordings<2>,

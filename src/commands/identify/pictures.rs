@@ -14,7 +14,7 @@ use crate::storage::{MachineDisk, write_whole};
 /// Endings of file names that a folder of pictures does not have.
 const FILE_ENDINGS: [&str; 4] = ["svg", "png", "pdf", "html"];
 
-/// The folder of `--plot`, which is made. Refuses the name of a file.
+/// Makes the folder of `--plot` and returns it. Refuses the name of a file.
 pub fn plot_folder(folder: &Path) -> Result<OutputFolder, Failure> {
     let ending = folder.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     if ending.is_some_and(|ending| FILE_ENDINGS.contains(&ending.as_str())) && !folder.is_dir() {
@@ -27,8 +27,8 @@ pub fn plot_folder(folder: &Path) -> Result<OutputFolder, Failure> {
 }
 
 /// Draws each recording with its open-loop simulation, and the correlations of the profile, into a
-/// folder. A recording that cannot be simulated is left out with a warning. Returns a line that
-/// says what was drawn.
+/// folder. A recording that cannot be simulated is left out with a warning. Returns a line with
+/// the number of recordings that were drawn.
 pub fn draw(
     folder: &Path,
     recordings: &Recordings<2>,

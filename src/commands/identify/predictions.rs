@@ -75,7 +75,7 @@ impl Predictions {
     }
 }
 
-/// The errors of the predictions of half a second in all these recordings.
+/// Returns the errors of the predictions of half a second in all these recordings.
 fn pooled(logs: &[MotionLog], models: &[QubeModel]) -> Vec<AngleError> {
     let pairs = logs.iter().zip(models);
     pairs.flat_map(|(log, model)| prediction_errors(log, model)).collect()
@@ -117,7 +117,7 @@ impl PredictionErrors {
         }
     }
 
-    /// The errors over the longest horizon, `None` if no recording is that long.
+    /// Returns the errors over the longest horizon, `None` if no recording is that long.
     pub fn longest(&self) -> Option<&HorizonError> {
         self.horizons.last().filter(|error| error.predictions > 0)
     }

@@ -8,7 +8,7 @@ use crate::identification::{
 };
 use crate::qube::PlantModel;
 
-/// The whole result for people: estimates with their correlations, the cable's rest angles,
+/// Returns the whole result for people: estimates with their correlations, the cable's rest angles,
 /// predictions, verdict, and the next excitation.
 pub fn text(
     identified: &Identified,
@@ -53,7 +53,7 @@ fn estimates(identified: &Identified) -> String {
     text
 }
 
-/// A combination such as `+0.71 R_m -0.70 k_m`.
+/// Returns a combination such as `+0.71 R_m -0.70 k_m`.
 pub fn combination_text(combination: &UndeterminedCombination) -> String {
     let term = |(unknown, weight): &(Unknown, f64)| format!("{weight:+.2} {}", unknown.name());
     combination.iter().map(term).collect::<Vec<_>>().join(" ")
@@ -62,7 +62,7 @@ pub fn combination_text(combination: &UndeterminedCombination) -> String {
 /// Absolute correlation from which two estimates are listed as hard to tell apart.
 const STRONG_CORRELATION: f64 = 0.8;
 
-/// The pairs of estimates that the recordings hardly tell apart; empty without any.
+/// Returns the pairs of estimates that the recordings hardly tell apart; empty without any.
 fn strong_correlations(identified: &Identified) -> String {
     let mut text = String::new();
     let name = |index: usize| identified.estimates[index].unknown.name();
@@ -82,7 +82,7 @@ fn strong_correlations(identified: &Identified) -> String {
     if text.is_empty() { text } else { format!("\nStrongly correlated estimates:\n{text}") }
 }
 
-/// The cable's rest angle in each recording; empty if the angle does not scatter between
+/// Returns the cable's rest angle in each recording; empty if the angle does not scatter between
 /// recordings.
 fn cable_rests(identified: &Identified, files: &[PathBuf]) -> String {
     let scatter_rad = identified.scatter.cable_rest_rad;
@@ -118,27 +118,27 @@ fn rms_errors(errors: &PredictionErrors) -> String {
     text
 }
 
-/// The band of the predictions and the share of held-out errors within it.
+/// Returns the band of the predictions and the share of held-out errors within it.
 fn band_lines(predictions: &Predictions) -> String {
     let Some(PredictionBand { half_widths, .. }) = predictions.band else {
         return String::new();
     };
     let (theta, alpha) = (half_widths.theta_rad, half_widths.alpha_rad);
     let mut text = format!(
-        "\nAfter 0.5 s, 90 % of the fitted recordings are within theta {theta:.4} and alpha {alpha:.4} rad of a prediction.\n"
+        "\nAfter 0.5 s, 90 % of the predictions of fitted recordings are off by at most {theta:.4} rad (theta), {alpha:.4} rad (alpha).\n"
     );
     if let Some(within) = predictions.within {
         let [theta, alpha] = within.shares.map(|share| 100.0 * share);
         let _ = writeln!(
             text,
-            "Of the {} predictions of held-out recordings, {theta:.0} % (theta) and {alpha:.0} % (alpha) are.",
+            "Of the {} predictions of held-out recordings, {theta:.0} % (theta) and {alpha:.0} % (alpha) are off by at most that.",
             within.predictions
         );
     }
     text
 }
 
-/// The verdict on the model, with a note if the standard errors are larger than noise alone
+/// Returns the verdict on the model, with a note if the standard errors are larger than noise alone
 /// explains.
 fn assessment(identified: &Identified) -> String {
     let tests = &identified.assessment;
@@ -152,7 +152,7 @@ fn assessment(identified: &Identified) -> String {
     let widened = if identified.inflation > 1.05 {
         let factor = identified.inflation;
         format!(
-            " Standard errors are {factor:.1} times those of noise alone, because recordings, or parts of them, disagree."
+            " Standard errors are {factor:.1} times as large as noise alone explains, because recordings, or parts of them, disagree."
         )
     } else {
         String::new()
@@ -160,8 +160,8 @@ fn assessment(identified: &Identified) -> String {
     format!("{verdict}{widened}\n")
 }
 
-/// The excitations of a plant with the most and with the least expected information; empty without
-/// any.
+/// Returns the excitations of a plant with the most and with the least expected information; empty
+/// without any.
 fn next_line(next: &[ExpectedExcitation], plant: &PlantModel) -> String {
     let (Some(most), Some(least)) = (next.first(), next.last()) else { return String::new() };
     let option = if plant.is_qube() { "" } else { " --plant FILE" };

@@ -64,9 +64,9 @@ impl RunController {
         checked.map_err(|other| Failure::usage(format!("{}: {other}", self.name)))
     }
 
-    /// The note that the policy gets another estimator, or another velocity filter, than in its
-    /// training; `None` where its file names this one or none. The models of two observers are not
-    /// compared, because each describes its own Qube.
+    /// Returns the note that the policy gets another estimator, or another velocity filter, than in
+    /// its training; `None` where its file names this one or none. The models of two observers are
+    /// not compared, because each describes its own Qube.
     pub fn estimator_note(&self, used: &EstimatorSettings) -> Option<String> {
         let Some(Policy::Network(network)) = &self.policy else { return None };
         let SimulatedSensors::Encoders { corner_rad_s, observer, .. } = network.training.sensors
@@ -80,9 +80,10 @@ impl RunController {
             (None, _) => (filter(corner_rad_s), format!("--filter {corner_rad_s}")),
             (Some(_), None) => ("an observer".to_owned(), "--estimator observer".to_owned()),
         };
-        let now = used.observer.map_or_else(|| filter(used.corner_rad_s), |_| "an observer".into());
+        let here =
+            used.observer.map_or_else(|| filter(used.corner_rad_s), |_| "an observer".into());
         Some(format!(
-            "note: {} was trained with {trained}, and here it runs with {now}; {option} selects the estimator of its \
+            "note: {} was trained with {trained}, and here it runs with {here}; {option} selects the estimator of its \
              training",
             self.name
         ))
@@ -117,7 +118,8 @@ pub fn policy(name: &Path) -> Result<Policy, Failure> {
     Ok(policy)
 }
 
-/// The distribution of the simulated Qubes in which a policy was trained, if its file contains it.
+/// Returns the distribution of the simulated Qubes in which a policy was trained, if its file
+/// contains it.
 pub fn randomisation(policy: &Policy) -> Option<&Randomisation> {
     match policy {
         Policy::Network(policy) => policy.training.randomisation.as_ref(),
@@ -125,12 +127,12 @@ pub fn randomisation(policy: &Policy) -> Option<&Randomisation> {
     }
 }
 
-/// Whether only the safety box ended the simulated rollouts in which a policy was trained.
+/// Returns whether the box alone guarded the simulations in which a policy was trained.
 fn trained_in_the_box_alone(policy: &Policy) -> bool {
     matches!(policy, Policy::Network(it) if it.training.guard.is_box())
 }
 
-/// Whether a policy was trained on true states, which no Qube shows.
+/// Returns whether a policy was trained on true states, which no Qube measures.
 pub fn trained_on_true_states(policy: &Policy) -> bool {
     matches!(policy, Policy::Network(it) if it.training.sensors == SimulatedSensors::TrueState)
 }

@@ -60,12 +60,12 @@ pub struct RolloutRow {
     success: bool,
     /// Reason why the rollout ended before its last step, or has no result.
     pub ended_early: Option<String>,
-    /// Outcome in words.
+    /// Outcome in words; of an excitation with a result, whether `identify` can use the recording.
     outcome: String,
 }
 
 impl RolloutRow {
-    /// Return and outcome in words.
+    /// Returns the return and outcome in words.
     pub fn in_words(&self) -> String {
         match self.return_ {
             Some(return_) => format!("return {return_:.0}, {}", self.outcome),
@@ -75,8 +75,8 @@ impl RolloutRow {
 }
 
 impl RunResults {
-    /// The largest return so far and the number of successes, in words; empty without a return, and
-    /// for excitations.
+    /// Returns the largest return so far and the number of successes, in words; empty without a
+    /// return, and for excitations.
     pub fn best(&self) -> String {
         let returns = self.rollouts.iter().filter_map(|row| row.return_);
         let successes = self.rollouts.iter().filter(|row| row.success).count();
@@ -89,7 +89,7 @@ impl RunResults {
         }
     }
 
-    /// Results without any rollout yet: of an excitation of this Qube, or else of a policy.
+    /// Makes results without any rollout yet: of an excitation of this Qube, or else of a policy.
     pub fn new(excited: Option<String>) -> Self {
         Self { excited, ..Self::default() }
     }
@@ -141,7 +141,7 @@ impl RunResults {
         Ok(())
     }
 
-    /// The fault that ended the last rollout, if one did.
+    /// Returns the fault that ended the last rollout, if one did.
     pub fn fault(&self) -> Option<Fault> {
         match self.void? {
             VoidReason::Fault(fault) => Some(fault),
@@ -171,12 +171,12 @@ impl RunResults {
         }
     }
 
-    /// Whether no rollout was run.
+    /// Returns whether no rollout was run.
     pub fn is_empty(&self) -> bool {
         self.rollouts.is_empty()
     }
 
-    /// The results for people.
+    /// Returns the results for people.
     pub fn text(&self) -> String {
         let Some(first) = self.rollouts.first() else { return "no rollout was run".into() };
         let directory = first.recording.parent().unwrap_or(Path::new(".")).display();
@@ -209,7 +209,7 @@ impl RunResults {
         text
     }
 
-    /// The results for scripts.
+    /// Returns the results for scripts.
     pub fn json(&self) -> Value {
         let drift = match &self.drift {
             DriftFromProfile::Estimated(drift) => Some(drift),

@@ -32,7 +32,7 @@ pub struct RolloutSeries<'a> {
 
 impl RolloutSeries<'_> {
     /// Runs the rollouts and adds their results to `results`, also the results from before a
-    /// failure or a stop. It is a failure if the last rollout is void.
+    /// failure or a stop. A void last rollout is a failure.
     pub fn run(&mut self, rollouts: u32, results: &mut RunResults) -> Result<(), Failure> {
         self.progress.update(|state| {
             state.phase = "opening the Qube, checking and homing it".into();
@@ -86,24 +86,24 @@ impl RolloutSeries<'_> {
         self.end(&rig, results)
     }
 
-    /// The outcome of the series after its last rollout.
+    /// Returns the outcome of the series after its last rollout.
     fn end(&self, rig: &Rig, results: &RunResults) -> Result<(), Failure> {
         // The device may not have confirmed that the motor is off; the recording of the last
         // rollout does not show this.
         let unconfirmed = rig.check_off().err();
         if self.stop.requested() {
-            let told = "stopped; the recordings are complete up to here";
+            let message = "stopped; the recordings are complete up to here";
             let doubt = rig.last_fault().filter(|fault| fault.leaves_doubt());
             return Err(match (unconfirmed, doubt) {
                 (Some(error), _) => {
-                    failures::rig(error, self.stop).preceded_by(&format!("{told}; but"))
+                    failures::rig(error, self.stop).preceded_by(&format!("{message}; but"))
                 }
                 // The fault ended a rollout just before the stop, and the next start needs the
-                // operator's word.
+                // operator's acknowledgement.
                 (None, Some(fault)) => Failure::fault(fault_message(fault))
                     .caused_by(Some(fault))
-                    .preceded_by(&format!("{told}; but")),
-                (None, None) => self.stop.failure(told),
+                    .preceded_by(&format!("{message}; but")),
+                (None, None) => self.stop.failure(message),
             });
         }
         match (rig.last_fault().or(results.fault()), unconfirmed) {
@@ -121,8 +121,8 @@ impl RolloutSeries<'_> {
         }
     }
 
-    /// Opens the rig. If a remembered doubt, or a doubt that homing leaves, prevents this, the
-    /// operator may acknowledge it at a terminal, and the rig is opened again.
+    /// Opens the rig. If a doubt prevents this, a remembered one or one that the check or homing
+    /// leaves, the operator may acknowledge it at a terminal, and the rig is opened again.
     fn open(&mut self) -> Result<Rig, Failure> {
         let opened = match self.open_once() {
             Err(error) if self.acknowledges(&error) => {
@@ -137,8 +137,7 @@ impl RolloutSeries<'_> {
         opened.map_err(|error| failures::rig(error, self.stop))
     }
 
-    /// Opens the rig. Once its port, board and doubt are accepted, says how the arm will move
-    /// first.
+    /// Opens the rig. Once port, board and doubt are accepted, prints how the arm will move first.
     fn open_once(&self) -> Result<Rig, RigError> {
         Rig::open_announced(&self.settings, &self.stop.flag, |is_examined| {
             let described = &self.described;
@@ -160,7 +159,7 @@ impl RolloutSeries<'_> {
         })
     }
 
-    /// Whether the error leaves a doubt, and the operator acknowledges it.
+    /// Returns whether the error leaves a doubt, and the operator acknowledges it.
     fn acknowledges(&self, error: &RigError) -> bool {
         let method = self.settings.homing.method;
         error.doubt().is_some_and(|doubt| self.keyboard.acknowledges(doubt, method, self.stop))
@@ -215,7 +214,7 @@ impl RolloutSeries<'_> {
     }
 }
 
-/// The message for a fault that ended the last rollout, with the operator's next step.
+/// Returns the message for a fault that ended the last rollout, with the operator's next step.
 fn fault_message(fault: Fault) -> String {
     let then = match fault.leaves_doubt() {
         true => format!(". {}", failures::THEN_ACKNOWLEDGE),

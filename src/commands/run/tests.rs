@@ -1,4 +1,4 @@
-//! Tests how a run ends, in virtual time, so that the load of the computer does not matter.
+//! Tests of the end of a run, in virtual time, so that the load of the computer does not matter.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use crate::recording::read;
 use crate::rig::{Doubt, DoubtStore, Recovery};
 use crate::telemetry::{Fault, Preflight};
 
-/// An emulated Qube that is homed by hand and has this fault, if any.
+/// Returns an emulated Qube that is homed by hand and has this fault, if any.
 fn settings(fault: Option<&str>) -> RigSettings {
     let fault = fault.map(|fault| fault.parse::<EmulatorFault>().unwrap());
     RigSettings {
@@ -24,7 +24,7 @@ fn settings(fault: Option<&str>) -> RigSettings {
     }
 }
 
-/// The result of rollouts of the classical controller.
+/// Runs rollouts of the classical controller and returns their results.
 fn run(
     settings: RigSettings,
     directory: &Path,
@@ -109,7 +109,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!("stall_error"), &json!(4)));
     assert_eq!(recordings(&directory.join("two")), 0);
 
-    // With acknowledgement the Qube is examined, whatever else is asked for, and runs.
+    // With acknowledgement the Qube is examined in spite of `skip_check`, and runs.
     let (ended, _) = run(remembering(None, true), &directory.join("three"), 1);
     ended.unwrap();
     let preflight = read(&directory.join("three/rollout-0.mcap")).unwrap().header.preflight;
@@ -127,7 +127,7 @@ fn a_fault_in_the_check_leaves_its_doubt_and_no_failed_watchdog_is_driven_unexam
     let doubts = DoubtStore::new(directory.path().join("state"));
     let board = format!("{:016x}", 5);
     let failed = |fault: &str| {
-        // An emulated Qube is examined after an acknowledged doubt alone.
+        // An emulated Qube is examined only after an acknowledged doubt.
         doubts.store(&Doubt {
             fault: Some(Fault::EncoderJump),
             board: board.clone(),
@@ -140,18 +140,18 @@ fn a_fault_in_the_check_leaves_its_doubt_and_no_failed_watchdog_is_driven_unexam
     };
     let cause = |ended_by: &serde_json::Value| ended_by["cause"].as_str().unwrap().to_owned();
 
-    // In a push of the check.
+    // The stall comes during a push of the check.
     let ended_by = failed("stall@3.6");
     assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!("stall_error"), &json!(4)));
-    let told = cause(&ended_by);
-    assert!(told.contains("--acknowledge") && !told.contains("--skip-check"), "{told}");
+    let message = cause(&ended_by);
+    assert!(message.contains("--acknowledge") && !message.contains("--skip-check"), "{message}");
     assert_eq!(doubts.load(&board).unwrap().fault, Some(Fault::StallError));
 
     for (fault, may_be_skipped) in [("stuck-output@0:3", false), ("dead-motor@0", true)] {
         let ended_by = failed(fault);
         assert_eq!((&ended_by["fault"], &ended_by["exit_code"]), (&json!(null), &json!(1)));
-        let told = cause(&ended_by);
-        assert_eq!(told.contains("--skip-check"), may_be_skipped, "{told}");
+        let message = cause(&ended_by);
+        assert_eq!(message.contains("--skip-check"), may_be_skipped, "{message}");
         assert_eq!(doubts.load(&board).unwrap().fault, Some(Fault::EncoderJump));
     }
 }
@@ -165,13 +165,15 @@ fn a_cable_that_is_plugged_in_again_voids_one_rollout_and_the_run_goes_on() {
     ended.unwrap();
     let void: Vec<usize> =
         (0..3).filter(|number| results.rollouts[*number].return_.is_none()).collect();
-    let [void] = void[..] else { panic!("{:?}", results.rollouts) };
+    let [void] = void[..] else {
+        panic!("not exactly one rollout is void: {:?}", results.rollouts)
+    };
     let why = results.rollouts[void].ended_early.as_ref().unwrap();
     assert!(void < 2 && why.contains("unplugged"), "{why}");
 }
 
 #[test]
-fn a_cable_that_stays_out_is_a_fault_with_what_was_measured() {
+fn a_cable_that_stays_out_is_a_fault_and_the_results_so_far_are_kept() {
     let directory = tempfile::tempdir().unwrap();
     let recovery = Recovery { link_patience_s: 2.0, ..Recovery::default() };
     let settings = RigSettings { recovery, ..settings(Some("unplug@16")) };
@@ -186,9 +188,11 @@ fn a_cable_that_stays_out_is_a_fault_with_what_was_measured() {
 }
 
 #[test]
-fn another_estimator_than_that_of_the_training_is_noted() {
+fn an_estimator_that_differs_from_the_training_is_noted() {
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
-    let Policy::Network(network) = policy(&shipped).unwrap() else { panic!("it is a network") };
+    let Policy::Network(network) = policy(&shipped).unwrap() else {
+        panic!("the policy is no network")
+    };
     let observer = EstimatorSettings::observer(ObserverSettings::of(QubeModel::NOMINAL));
     let note = |sensors, used| {
         let mut network = network.clone();
@@ -208,9 +212,9 @@ fn another_estimator_than_that_of_the_training_is_noted() {
     for (used, words) in
         [(EstimatorSettings::filter(20.0), "filter of 20 rad/s"), (observer, "an observer")]
     {
-        let told = note(own, used).unwrap();
-        assert!(told.contains("mine") && told.contains("filter of 200 rad/s"), "{told}");
-        assert!(told.contains(words) && told.contains("--filter 200 "), "{told}");
+        let message = note(own, used).unwrap();
+        assert!(message.contains("mine") && message.contains("filter of 200 rad/s"), "{message}");
+        assert!(message.contains(words) && message.contains("--filter 200 "), "{message}");
     }
 
     let model = QubeModel::NOMINAL;
@@ -226,17 +230,17 @@ fn another_estimator_than_that_of_the_training_is_noted() {
         observer: Some(simulated),
     };
     assert_eq!(note(observed, observer), None);
-    let told = note(observed, EstimatorSettings::default()).unwrap();
-    assert!(told.contains("--estimator observer"), "{told}");
+    let message = note(observed, EstimatorSettings::default()).unwrap();
+    assert!(message.contains("--estimator observer"), "{message}");
 }
 
 #[test]
-fn a_policy_of_true_states_is_known_by_its_file() {
+fn a_policy_of_true_states_is_recognised_by_its_file() {
     assert!(!trained_on_true_states(&policy(Path::new("classical")).unwrap()));
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
     let robust = policy(&shipped).unwrap();
     assert!(!trained_on_true_states(&robust));
-    let Policy::Network(mut network) = robust else { panic!("it is a network") };
+    let Policy::Network(mut network) = robust else { panic!("the policy is no network") };
     network.training.sensors = SimulatedSensors::TrueState;
     assert!(trained_on_true_states(&Policy::Network(network)));
 }

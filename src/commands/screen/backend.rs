@@ -20,21 +20,21 @@ pub struct Ansi {
 }
 
 impl Ansi {
-    /// A terminal before its first frame; `size` counts while the terminal does not tell its own.
+    /// Makes a terminal before its first frame; `size` is used while the terminal reports no size.
     pub fn new(size: Size) -> Self {
         Self { frame: String::new(), size }
     }
 }
 
-/// The size of the terminal behind stdin, columns and rows; `None` if stdin is no terminal or its
-/// size is not known.
+/// Returns the size of the terminal behind stdin, columns and rows; `None` if stdin is no terminal
+/// or its size is not known.
 pub fn size() -> Option<Size> {
     let found = tcgetwinsize(rustix::stdio::stdin()).ok()?;
     (found.ws_col > 0 && found.ws_row > 0).then(|| Size::new(found.ws_col, found.ws_row))
 }
 
-/// The control sequence for the style of a cell. Six of the terminal's basic colours are used; the
-/// user's theme defines their shades. Any other colour becomes the default one.
+/// Returns the control sequence for the style of a cell. Six of the terminal's basic colours are
+/// used; the user's theme defines their shades. Any other colour becomes the default one.
 fn style(cell: &Cell) -> String {
     let mut codes = String::from("\x1b[0");
     for (modifier, code) in [
@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn neighbours_are_written_in_one_go_and_styles_only_where_they_change() {
+    fn neighbours_are_written_together_and_styles_only_where_they_change() {
         let mut terminal = Ansi::new(Size::new(10, 2));
         let mut red = Cell::new("a");
         red.fg = Color::Red;

@@ -7,7 +7,7 @@ use std::thread::{Builder, JoinHandle};
 use rustix::io::fcntl_dupfd_cloexec;
 use rustix::stdio::{dup2_stderr, stderr};
 
-/// Longest line, bytes; a longer line is handed on in parts of this length.
+/// Longest line, bytes; a longer line is passed on in parts of at most this length.
 const LONGEST_LINE: u64 = 4096;
 
 /// A capture of stderr: until it is dropped, each line goes to a function.
@@ -18,7 +18,7 @@ pub struct CapturedStderr {
 }
 
 impl CapturedStderr {
-    /// Begins the capture; a thread hands each line to `take`.
+    /// Begins the capture; a thread passes each line to `take`.
     ///
     /// # Errors
     /// The pipe, the duplicate of stderr or the thread cannot be made.
@@ -49,7 +49,7 @@ impl Drop for CapturedStderr {
     }
 }
 
-/// A line as text, without white space at its end and without the colours of log messages.
+/// Returns a line as text, without white space at its end and without the colours of log messages.
 fn shown(line: &[u8]) -> String {
     let text = String::from_utf8_lossy(line);
     let mut plain = String::with_capacity(text.len());

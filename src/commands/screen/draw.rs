@@ -31,7 +31,7 @@ pub struct Styles {
 }
 
 impl Styles {
-    /// With or without colours.
+    /// Makes styles with or without colours.
     pub fn new(colours: bool) -> Self {
         Self { colours }
     }
@@ -87,7 +87,7 @@ pub fn draw(
         Overlay::Help => draw_box(frame, "Help", &help(state), styles),
         Overlay::Quit => {
             let text = format!(
-                "Stop now and quit? {}.\n\ny  yes     any other key  continue",
+                "Stop now and quit? {}.\n\ny or space  yes     any other key  continue",
                 capital(state.stop_effect)
             );
             draw_box(frame, "Quit", &text, styles);
@@ -200,7 +200,8 @@ fn draw_trainings(
         );
         return;
     }
-    // Only the latest trainings fit; each has a curve and two lines of text.
+    // Only the last trainings, in the order of their keys, fit; each has a curve and two lines of
+    // text.
     let shown = usize::from(inner.height / 3).clamp(1, state.trainings.len());
     let parts = vec![Constraint::Fill(1); shown];
     let areas = Layout::vertical(parts).split(inner);
@@ -227,8 +228,8 @@ fn draw_training(frame: &mut Frame, area: Rect, training: &Training, now: Instan
     frame.render_widget(Line::from(format!("update {done}/{all}, best {best:.0}{left}")), numbers);
 }
 
-/// The curve of the whole training in at most `width` columns: each column has the best return of
-/// its updates, at least 0, and 0 before any of them is done.
+/// Returns the curve of the whole training in at most `width` columns: each column has the best
+/// return of its updates, at least 0, and 0 before any of them is done.
 fn columns(training: &Training, width: usize) -> Vec<u64> {
     let updates = training.updates.max(1) as usize;
     // A training with fewer updates than columns has one column for each update.
@@ -313,9 +314,9 @@ fn draw_rollout(frame: &mut Frame, area: Rect, rollout: &RolloutState, styles: S
     frame.render_widget(Paragraph::new(lines.to_vec()), inner);
 }
 
-/// A line with a quantity as a number and as a mark on a scale from -`limit` to `limit`. `used` is
-/// the largest fraction of the limit that was reached so far; 0 shows no range. `width` is the
-/// width of the line, in characters.
+/// Returns a line with a quantity as a number and as a mark on a scale from -`limit` to `limit`.
+/// `used` is the largest fraction of the limit that was reached so far; 0 shows no range. `width`
+/// is the width of the line, in characters.
 fn quantity<'a>(
     name: &'a str,
     value: f64,
@@ -331,8 +332,9 @@ fn quantity<'a>(
     Line::from(vec![Span::styled(number, style), Span::raw(format!("├{bar}┤"))])
 }
 
-/// A scale from -1 to 1 in `width` characters, with a mark at `value` (at an end if `value` lies
-/// beyond it) and a thick line from -`used` to `used`; empty if `width` is less than 3.
+/// Returns a scale from -1 to 1 in `width` characters, with a mark at `value` (at an end if `value`
+/// lies beyond it, none if it is not finite) and a thick line from -`used` to `used`; empty if
+/// `width` is less than 3.
 fn scale(value: f64, used: f64, width: usize) -> String {
     if width < 3 {
         return String::new();
@@ -373,9 +375,9 @@ fn draw_messages(frame: &mut Frame, area: Rect, state: &ScreenState, styles: Sty
     frame.render_widget(Paragraph::new(rows), inner);
 }
 
-/// A message in rows of `width` characters, broken between words. The rows after the first are
-/// indented by two blanks. A word that does not fit into a row has a row of its own, which is cut
-/// off at the screen's edge.
+/// Returns a message in rows of at most `width` characters, broken between words. The rows after
+/// the first are indented by two blanks. A word that does not fit into a row has a row of its own,
+/// which is cut off at the screen's edge.
 fn wrapped(message: &str, width: usize) -> Vec<String> {
     let mut rows = vec![String::new()];
     for word in message.split(' ') {

@@ -1,7 +1,7 @@
 //! The screen of long work at a terminal: phase, progress, training, rollout, messages, keys.
 //!
 //! A thread draws the screen five times a second from a state that the work updates. The control
-//! thread takes no part: the recorder's thread hands ticks to a [`RolloutPanel`]. While the screen
+//! thread takes no part: the recorder's thread passes ticks to a [`RolloutPanel`]. While the screen
 //! has the terminal, every line that is written to stderr becomes a message on the screen; the
 //! messages are printed on stderr when the screen is gone.
 
@@ -97,7 +97,7 @@ fn is_large_enough() -> bool {
 }
 
 impl Screen {
-    /// No screen.
+    /// Makes a screen that shows nothing.
     pub fn none() -> Self {
         Self { shared: None, drawer: None, captured: None }
     }
@@ -121,12 +121,12 @@ impl Screen {
         Ok(screen)
     }
 
-    /// The progress that the screen shows.
+    /// Returns the progress that the screen shows.
     pub fn progress(&self) -> Progress {
         Progress { shared: self.shared.clone() }
     }
 
-    /// The viewer that shows rollouts on the screen; `None` without a screen.
+    /// Returns the viewer that shows rollouts on the screen; `None` without a screen.
     pub fn viewer(&self) -> Option<Arc<dyn Viewer>> {
         let shared = self.shared.as_ref()?;
         Some(Arc::clone(&shared.rollout) as Arc<dyn Viewer>)
@@ -153,13 +153,13 @@ impl Drop for Screen {
 }
 
 impl Progress {
-    /// Progress as lines.
+    /// Makes a progress that is written as lines.
     #[cfg(test)]
     pub fn lines() -> Self {
         Self { shared: None }
     }
 
-    /// Whether a screen shows this progress.
+    /// Returns whether a screen shows this progress.
     pub fn has_screen(&self) -> bool {
         self.shared.is_some()
     }
@@ -196,7 +196,7 @@ impl Progress {
         }
     }
 
-    /// The effect of a stop on the present work, in words.
+    /// Returns the effect of a stop on the present work, in words.
     pub fn stop_effect(&self) -> &'static str {
         self.shared.as_ref().map_or(STOP_EFFECT, |shared| shared.state().stop_effect)
     }
@@ -241,8 +241,8 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A copy of the state for one frame, so that no lock is held while a slow terminal takes the
-    /// frame.
+    /// Returns a copy of the state for one frame, so that no lock is held while a slow terminal
+    /// takes the frame.
     fn for_frame(&self) -> ScreenState {
         let mut state = self.state();
         let messages = std::mem::take(&mut state.messages);

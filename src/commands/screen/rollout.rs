@@ -10,13 +10,14 @@ use crate::telemetry::{LatencySummary, Phase, RolloutHeader, RolloutOutcome, Tic
 /// The state of a rollout on the screen.
 #[derive(Clone, Debug, Default)]
 pub struct RolloutState {
-    /// Number of the candidate; `None` outside of a session.
+    /// Number of the candidate in its session, or of the policy in its experiment; `None` for
+    /// another rollout.
     pub candidate: Option<u32>,
     /// Number of the rollout.
     pub rollout: u32,
-    /// Whether an excitation runs rather than a policy.
+    /// True if an excitation runs rather than a policy.
     pub is_excitation: bool,
-    /// Whether the rollout is still going on.
+    /// True until the rollout ends.
     pub is_running: bool,
     /// Limits of the box; `None` before the first rollout.
     pub limits: Option<SafetyBox>,
@@ -38,11 +39,12 @@ pub struct RolloutState {
 }
 
 impl RolloutState {
-    /// The limit that the policy came nearest to, and the fraction of it that was reached; `None`
-    /// before the policy's first tick.
+    /// Returns the limit that the policy came nearest to, and the fraction of it that was reached;
+    /// `None` before the policy's first tick.
     pub fn nearest_limit(&self) -> Option<(&'static str, f64)> {
         let names = ["θ", "α", "θ velocity", "α velocity"];
-        let nearest = names.into_iter().zip(self.nearest).max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let nearest =
+            names.into_iter().zip(self.nearest).max_by(|one, other| one.1.total_cmp(&other.1))?;
         (self.steps > 0).then_some(nearest)
     }
 }
@@ -54,7 +56,7 @@ pub struct RolloutPanel {
 }
 
 impl RolloutPanel {
-    /// A copy of the current state.
+    /// Returns a copy of the current state.
     pub fn state(&self) -> RolloutState {
         let (mut state, latencies) = {
             let locked = self.state.lock().unwrap_or_else(PoisonError::into_inner);

@@ -23,13 +23,13 @@ pub struct Training {
 }
 
 impl Training {
-    /// The best mean return so far; `None` before the first update.
+    /// Returns the best mean return so far; `None` before the first update.
     pub fn best(&self) -> Option<f64> {
         self.returns.iter().copied().max_by(f64::total_cmp)
     }
 
-    /// Time left if the other updates take as long as those so far; `None` before the second
-    /// update.
+    /// Returns the time left if the other updates take as long as the finished ones; `None` before
+    /// the second update.
     pub fn left(&self, now: Instant) -> Option<Duration> {
         let done = u32::try_from(self.returns.len()).unwrap_or(u32::MAX);
         let each = now.saturating_duration_since(self.began).checked_div(done.saturating_sub(1))?;
@@ -37,22 +37,22 @@ impl Training {
     }
 }
 
-/// A pause that the operator asked for.
+/// A pause that the operator requested.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pause {
-    /// None.
+    /// No pause.
     #[default]
     No,
-    /// After the present rollout, or after the next one if none runs.
+    /// A pause after the present rollout, or after the next one if none runs.
     Asked,
-    /// Now: the work waits.
+    /// A pause now: the work waits.
     Now,
 }
 
 /// A window over the screen.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Overlay {
-    /// Nothing.
+    /// No window.
     #[default]
     None,
     /// The help: keys and symbols.
@@ -77,7 +77,7 @@ pub struct ScreenState {
     /// Number of finished pieces of work, and of all pieces or the most that there may be; `None`
     /// before the number is known.
     pub done: Option<(u64, u64)>,
-    /// Whether the work may end before all pieces are done.
+    /// True if the work may end before all pieces are done.
     pub may_end_early: bool,
     /// Expected end of all work; `None` if it is not known.
     pub ends: Option<Instant>,
@@ -88,17 +88,17 @@ pub struct ScreenState {
     pub trainings: BTreeMap<(String, u32, u32), Training>,
     /// Address of the live view; empty without one.
     pub live: String,
-    /// Whether rollouts are shown.
+    /// True if rollouts are shown.
     pub has_rollouts: bool,
-    /// Whether trainings are shown.
+    /// True if trainings are shown.
     pub has_trainings: bool,
-    /// Whether a pause between rollouts can be asked for.
+    /// True if the operator can request a pause between rollouts.
     pub can_pause: bool,
     /// Effect of a stop in one sentence.
     pub stop_effect: &'static str,
-    /// Pause that was asked for.
+    /// Pause that the operator requested.
     pub pause: Pause,
-    /// Whether a stop was requested.
+    /// True if a stop was requested.
     pub is_stopping: bool,
     /// Window over the rest of the screen.
     pub overlay: Overlay,
@@ -107,7 +107,7 @@ pub struct ScreenState {
 }
 
 impl ScreenState {
-    /// The state at the beginning.
+    /// Returns the state at the beginning.
     pub fn new(title: String, began: Instant) -> Self {
         Self {
             title,
@@ -131,7 +131,8 @@ impl ScreenState {
         }
     }
 
-    /// Adds each line of a text as a message; beyond `KEPT` the oldest message is dropped.
+    /// Adds each line of a text that is not blank as a message; beyond `KEPT` the oldest message is
+    /// dropped.
     pub fn add_message(&mut self, text: &str) {
         for line in text.lines().filter(|line| !line.trim().is_empty()) {
             if self.messages.len() == KEPT {
@@ -164,22 +165,22 @@ impl ScreenState {
     }
 }
 
-/// Time that `to_do` more pieces of work take if each takes as long as, on average, the `done`
-/// pieces that this process has finished in the time `elapsed`. A piece under way counts as a
-/// fraction. `None` before any work is done, and for 1e9 s (30 years) or more.
+/// Returns the time that `to_do` more pieces of work take if each takes as long as, on average, the
+/// `done` pieces that this process has finished in the time `elapsed`. A piece under way counts as
+/// a fraction. `None` before any work is done, and for 1e9 s (30 years) or more.
 pub fn time_left(elapsed: Duration, done: f64, to_do: f64) -> Option<Duration> {
     let left_s = elapsed.as_secs_f64() / done * to_do.max(0.0);
     let is_known = done > 0.0 && left_s.is_finite() && left_s < 1e9;
     is_known.then(|| Duration::from_secs_f64(left_s))
 }
 
-/// The end of a line of progress that says how much time is left, such as `; about 4 min left`;
-/// empty if it is not known.
+/// Returns the end of a line of progress with the time that is left, such as `; about 4 min left`;
+/// empty if the time is not known.
 pub fn left_in_words(left: Option<Duration>) -> String {
     left.map_or(String::new(), |left| format!("; about {} left", in_words(left)))
 }
 
-/// A time in the words of a clock: `45 s`, `4 min`, `2 h 05 min`.
+/// Returns a time in the words of a clock: `45 s`, `4 min`, `2 h 05 min`.
 pub fn in_words(time: Duration) -> String {
     let seconds = time.as_secs();
     match seconds {
@@ -194,13 +195,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_short_words() {
-        let told = [0, 119, 120, 7199, 7200, 90_061].map(|s| in_words(Duration::from_secs(s)));
-        assert_eq!(told, ["0 s", "119 s", "2 min", "119 min", "2 h 00 min", "25 h 01 min"]);
+    fn times_are_written_in_seconds_minutes_or_hours() {
+        let words = [0, 119, 120, 7199, 7200, 90_061].map(|s| in_words(Duration::from_secs(s)));
+        assert_eq!(words, ["0 s", "119 s", "2 min", "119 min", "2 h 00 min", "25 h 01 min"]);
     }
 
     #[test]
-    fn messages_are_lines_and_the_oldest_go_first() {
+    fn each_line_is_a_message_and_the_oldest_is_dropped_first() {
         let mut state = ScreenState::new("test".into(), Instant::now());
         state.add_message("one\n\ntwo\n");
         assert_eq!(state.messages, ["one", "two"]);
@@ -211,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn a_training_knows_its_best_return_and_its_time_left() {
+    fn a_training_has_a_best_return_and_a_time_left() {
         let began = Instant::now();
         let returns = vec![10.0, 30.0, 20.0];
         let training = Training { name: "t".into(), updates: 11, returns, began };

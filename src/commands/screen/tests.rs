@@ -18,7 +18,7 @@ use crate::recording::Viewer;
 use crate::safety::SafetyBox;
 use crate::telemetry::{LatencySummary, Phase, TickRecord};
 
-/// Limit for a hang, which no busy computer reaches.
+/// Longest wait of a test; a busy computer needs less.
 const PATIENCE: Duration = Duration::from_secs(600);
 
 fn drawn(size: (u16, u16), state: &ScreenState, rollout: &RolloutState, styles: Styles) -> Buffer {
@@ -28,7 +28,7 @@ fn drawn(size: (u16, u16), state: &ScreenState, rollout: &RolloutState, styles: 
     terminal.backend().buffer().clone()
 }
 
-/// The letters of a screen, without the blanks at the ends of its rows.
+/// Returns the letters of a screen, without the blanks at the ends of its rows.
 fn text(buffer: &Buffer) -> String {
     let width = usize::from(buffer.area.width);
     let rows = buffer.content.chunks(width).map(|row| {
@@ -47,7 +47,7 @@ fn is_as(name: &str, buffer: &Buffer) {
     assert!(found == expected, "{name}.txt:\n{expected}\nfound:\n{found}");
 }
 
-/// A session in the training of its fourth candidate.
+/// Returns a session in the training of its fourth candidate.
 fn in_training() -> ScreenState {
     let began = Instant::now();
     let mut state = ScreenState::new("qube-hil session in logs/monday".into(), began);
@@ -72,7 +72,7 @@ fn in_training() -> ScreenState {
     state
 }
 
-/// A rollout that has come close to a limit.
+/// Returns a rollout that has come close to a limit.
 fn near_a_limit() -> RolloutState {
     let state = State { theta: -1.9, alpha: 3.1, theta_dot: 2.0, alpha_dot: -0.4 };
     let tick =
@@ -111,7 +111,7 @@ fn a_rollout_shows_its_state_between_its_limits() {
 #[test]
 fn a_small_terminal_keeps_the_work_the_messages_and_the_keys() {
     is_as("small", &drawn((44, 12), &in_training(), &near_a_limit(), Styles::new(true)));
-    // No size makes it panic.
+    // The screen can be drawn in every size.
     for (width, height) in [(1, 1), (3, 40), (200, 2), (59, 18), (60, 17), (10, 30), (300, 90)] {
         let mut state = in_training();
         for overlay in [Overlay::None, Overlay::Help, Overlay::Quit, Overlay::Question("?".into())]
@@ -155,10 +155,10 @@ fn keys_stop_pause_ask_and_help() {
         assert!(!pressed(&mut state, b'p'));
         assert_eq!((&state.overlay, state.pause), (&Overlay::None, Pause::No));
     }
-    assert!(!pressed(&mut state, b'y'), "without the question it means nothing");
+    assert!(!pressed(&mut state, b'y'), "y has no effect without the question");
     assert!(!pressed(&mut state, b'q') && pressed(&mut state, b'y'));
     state.overlay = Overlay::Help;
-    assert!(pressed(&mut state, b' '), "a stop is never hidden by what lies over the screen");
+    assert!(pressed(&mut state, b' '), "the space bar stops under every overlay");
     let mut training = ScreenState { can_pause: false, ..in_training() };
     assert!(!pressed(&mut training, b'p'));
     assert_eq!(training.pause, Pause::No);
@@ -198,7 +198,7 @@ fn a_rollout_is_followed_tick_by_tick() {
     assert_eq!(state.lateness_us.max, 5.0);
     view.ended(None);
     assert!(!view.state().is_running);
-    // The next rollout begins anew; the deadlines are counted on.
+    // The next rollout begins anew, and the count of deadlines goes on.
     view.begins(&header, 0);
     let state = view.state();
     assert_eq!((state.steps, state.ticks, state.missed, state.nearest), (0, 4, 3, [0.0; 4]));
@@ -226,7 +226,7 @@ fn panics_under_a_screen() {
     let looked = std::path::PathBuf::from(std::env::var_os(LOOKED).unwrap());
     let begun = Instant::now();
     while !looked.exists() {
-        assert!(begun.elapsed() < PATIENCE, "nobody looks");
+        assert!(begun.elapsed() < PATIENCE, "the test has not looked at the screen");
         std::thread::sleep(Duration::from_millis(20));
     }
     panic!("this is the end");

@@ -1,5 +1,5 @@
-//! The frame of every session: runs it while an operator attends, and prints its results, whatever
-//! ended it.
+//! Runs a session of one Qube, or of several that share it, while an operator attends it; prints
+//! the results of every kind of session, also after a failure or a stop.
 
 use std::time::Instant;
 
@@ -21,7 +21,7 @@ use crate::session::{
     Session, SessionError, SessionEvent, SessionFolder, SessionReport, SessionSettings,
 };
 
-/// The settings of the rig that a session drives. Sets the device's plant to the session's.
+/// Returns the settings of the rig that a session drives. Sets the device's plant to the session's.
 pub fn settings_of_rig(
     device: &mut ChosenDevice,
     folder: &SessionFolder,
@@ -59,8 +59,8 @@ pub struct AttendedSession<'a> {
 impl AttendedSession<'_> {
     /// Runs the session to its end and prints its results; `show` shows each event.
     /// `complete` adds entries to the results that `--json` prints; the command began at `started`.
-    /// A session that was refused before its first decision has no results and leaves no folder
-    /// behind.
+    /// A session that was refused before its first decision has no results, and if it is new, its
+    /// folder is removed.
     pub fn run(
         self,
         show: &mut dyn FnMut(SessionEvent),
@@ -108,8 +108,8 @@ fn run_attended(
     }
 }
 
-/// Whether a session was refused before its first decision, so that it has no results. Any other
-/// session shows its finished work.
+/// Returns whether a session was refused before its first decision, so that it has no results. Any
+/// other session shows its finished work.
 pub fn is_refused(session: &Session, ended: &Result<(), Failure>) -> bool {
     ended.as_ref().is_err_and(Failure::is_usage) && !session.has_proposed()
 }
@@ -118,9 +118,9 @@ pub fn is_refused(session: &Session, ended: &Result<(), Failure>) -> bool {
 pub struct SessionResults {
     /// The table, and the path of the report.
     pub text: String,
-    /// The same as `--json` prints it, without wall time and reason of the end.
+    /// The results as `--json` prints them, without wall time and reason of the end.
     pub json: Value,
-    /// The outcome: how the session ended, or a failure if the file of the best policy is lost.
+    /// The outcome of the session, or a failure if the file of the best policy is lost.
     pub ended: Result<(), Failure>,
 }
 

@@ -10,14 +10,14 @@ use crate::rig::RigSettings;
 use crate::session::SessionSettings;
 use crate::simulation::SensorModel;
 
-/// Prints notes on settings that the operator may not expect: the method that a file chose, and an
-/// estimator other than in training.
+/// Prints notes on settings that the operator may not expect: the method that a file chose, and
+/// trainings on other states than the policies will see.
 pub fn print_notes(arguments: &Arguments, settings: &SessionSettings) {
     let notes = [method_note(arguments, settings), estimators_differ(settings)];
     notes.iter().flatten().for_each(|note| print_message(note));
 }
 
-/// Warnings for an operator before a session drives a Qube.
+/// The warnings for an operator before a session drives a Qube.
 pub fn warnings(
     device: &ChosenDevice,
     rig: &RigSettings,
@@ -42,7 +42,7 @@ fn method_note(arguments: &Arguments, settings: &SessionSettings) -> Option<Stri
 }
 
 /// A note for the operator if the policies are trained on other states than they will see on the
-/// Qube: true states, or those of another estimator.
+/// Qube: true states, or the states of another estimator.
 fn estimators_differ(settings: &SessionSettings) -> Option<String> {
     let trained_on = match settings.training.simulation.sensors {
         SensorModel::Encoders { estimator } if estimator == settings.estimator => return None,
@@ -75,40 +75,40 @@ mod tests {
     use crate::qube::QubeModel;
 
     #[test]
-    fn a_file_that_changes_the_method_by_what_it_leaves_out_is_told_of() {
-        let told = |options: &str, settings: SessionSettings| {
+    fn a_file_without_an_identification_that_changes_the_method_is_noted() {
+        let note = |options: &str, settings: SessionSettings| {
             let words = ["session"].into_iter().chain(options.split_whitespace());
             let command = Arguments::augment_args(clap::Command::new("session"));
             let matches = command.try_get_matches_from(words).unwrap();
             method_note(&Arguments::from_arg_matches(&matches).unwrap(), &settings)
         };
         let quick = SessionSettings::quick();
-        let message = told("--config mine.toml", quick.clone()).unwrap();
+        let message = note("--config mine.toml", quick.clone()).unwrap();
         assert!(message.contains("mine.toml") && message.contains("is bayrn"), "{message}");
         let identification = Some(crate::session::IdentificationSettings::DEFAULT);
         let identified = SessionSettings { identification, ..quick.clone() };
-        assert_eq!(told("--config mine.toml", identified), None);
+        assert_eq!(note("--config mine.toml", identified), None);
         for options in ["--method bayrn --config mine.toml", "--preset thesis --config mine.toml"] {
-            assert_eq!(told(options, quick.clone()), None, "{options}");
+            assert_eq!(note(options, quick.clone()), None, "{options}");
         }
-        assert_eq!(told("--method bayrn", quick), None);
+        assert_eq!(note("--method bayrn", quick), None);
     }
 
     #[test]
-    fn a_policy_that_will_see_something_else_than_in_training_is_told_of() {
+    fn a_policy_that_will_see_other_states_than_in_training_is_noted() {
         let observer = EstimatorSettings::observer(ObserverSettings::of(QubeModel::NOMINAL));
         let quick = SessionSettings::quick();
         assert_eq!(estimators_differ(&quick), None);
         assert_eq!(estimators_differ(&quick.clone().seen_through(observer)), None);
-        let apart = SessionSettings { estimator: observer, ..quick.clone() };
-        let message = estimators_differ(&apart).unwrap();
+        let differing = SessionSettings { estimator: observer, ..quick.clone() };
+        let message = estimators_differ(&differing).unwrap();
         assert!(
             message.contains("filter of 200 rad/s") && message.contains("observer"),
             "{message}"
         );
-        let mut blind = quick;
-        blind.training.simulation.sensors = SensorModel::TrueState;
-        let message = estimators_differ(&blind).unwrap();
+        let mut on_true_states = quick;
+        on_true_states.training.simulation.sensors = SensorModel::TrueState;
+        let message = estimators_differ(&on_true_states).unwrap();
         assert!(message.contains("true states"), "{message}");
     }
 }

@@ -25,7 +25,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
     let mut device = arguments.rigs.choose_one()?;
     let consent = arguments.consent.with_guard(arguments.guard)?;
-    let mut place = None;
+    let mut new_folder = None;
     let (folder, settings) = match &arguments.resume {
         Some(directory) => {
             let (folder, settings) = resumed(directory, arguments, &device)?;
@@ -34,8 +34,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         }
         None => {
             let settings = configured(arguments, consent, &device)?;
-            let place = place.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
-            begun(place.path(), name_in(place.path()), settings)?
+            let new_folder =
+                new_folder.insert(OutputFolder::make(arguments.out.as_deref(), "session")?);
+            begun(new_folder.path(), name_in(new_folder.path()), settings)?
         }
     };
     let mut rig_settings =
@@ -66,8 +67,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let emulated_qube =
         (!device.choice.is_hardware()).then(|| settings.emulated.name(settings.plant()));
     let plant = settings.plant().name;
-    let which = emulated_qube.as_ref().map_or_else(String::new, |name| format!(" ({name})"));
-    print_message(&format!("session with {}{which} in {}", device.described(), root.display()));
+    let qube_name = emulated_qube.as_ref().map_or_else(String::new, |name| format!(" ({name})"));
+    print_message(&format!("session with {}{qube_name} in {}", device.described(), root.display()));
     for warning in warnings(&device, &rig_settings, &settings) {
         print_message(&format!("warning: {warning}"));
     }

@@ -25,22 +25,22 @@ const ROLLOUTS: &str = "rollouts on the Qube";
 /// work on the screen.
 pub struct SessionProgress {
     progress: Progress,
-    /// Beginning of each line: the name of the rig among several.
+    /// Beginning of each line: the name of the rig among several; empty for the only rig.
     prefix: String,
     stop: Arc<AtomicBool>,
-    /// Number of all candidates, as far as it is known, without a copy of the best candidate's
-    /// policy that is still to be proposed; the time left is estimated from it.
+    /// Number of all candidates, as far as it is known, from which the time left is estimated. A
+    /// copy of the best candidate's policy is not counted before it is proposed.
     candidates: u32,
-    /// Whether the session is still to propose a copy of the best candidate's policy.
+    /// True while the session has yet to propose a copy of the best candidate's policy.
     copy_to_come: bool,
-    /// Whether the session ends with a policy that is trained on the nominal Qube, for comparison.
+    /// True if the session ends with a policy that is trained on the nominal Qube, for comparison.
     has_baseline: bool,
     /// Largest number of candidates around the identified Qube; `None` if the session identifies
     /// none.
     around: Option<u32>,
     /// Number of updates of one training.
     updates: u32,
-    /// Number of trainings of each candidate around the identified Qube.
+    /// Number of trainings of each candidate; 1 unless the session identifies its Qube.
     trainings: u32,
     /// Number of rollouts that verify a policy.
     verification_rollouts: u32,
@@ -52,7 +52,7 @@ pub struct SessionProgress {
 }
 
 impl SessionProgress {
-    /// A display for a session of this extent.
+    /// A display for a session with these settings.
     pub fn new(settings: &SessionSettings, progress: &Progress, stop: &Stop) -> Self {
         let extent = &settings.extent;
         let searched = extent.initial_candidates + extent.iterations;
@@ -87,7 +87,8 @@ impl SessionProgress {
         Self { prefix: format!("{name}: "), ..self }
     }
 
-    /// Time left until the last candidate; `None` before the second update of the first training.
+    /// Time left until the last training ends; `None` before the second update, and once all
+    /// candidates are trained.
     pub fn time_left(&self) -> Option<Duration> {
         self.pace.time_left(self.candidates, Instant::now())
     }
@@ -106,9 +107,9 @@ impl SessionProgress {
             }
             SessionEvent::FirstMotion { is_examined: false, .. } => {}
             SessionEvent::FirstMotion { rig, is_acknowledged, .. } => {
-                let how = if *is_acknowledged { "" } else { " (--skip-check leaves the check out)" };
+                let hint = if *is_acknowledged { "" } else { " (--skip-check leaves the check out)" };
                 let on = of_rig(*rig);
-                self.line(format!("{on}first the Qube is checked and homed{how}"));
+                self.line(format!("{on}first the Qube is checked and homed{hint}"));
             }
             SessionEvent::Connected { rig, opened } => self.connected(*rig, opened),
             SessionEvent::Identified { recordings, doubts } => {
@@ -177,7 +178,7 @@ impl SessionProgress {
 
     /// Shows a new candidate, and the time that is left.
     fn show_proposal(&mut self, candidate: u32, purpose: Purpose, counts: &CandidateCounts) {
-        let why = match purpose {
+        let description = match purpose {
             Purpose::Excitation => "a recording that identifies the Qube",
             Purpose::Baseline => "a policy trained on the nominal Qube, for comparison",
             Purpose::Initial => "an initial point",
@@ -192,7 +193,7 @@ impl SessionProgress {
         }
         self.copy_to_come &= purpose != Purpose::Incumbent;
         self.candidates = counts.total.map_or(last, |total| total - u32::from(self.copy_to_come));
-        let text = proposed(candidate, purpose, why, counts);
+        let text = proposed(candidate, purpose, description, counts);
         self.proposed(candidate, purpose, &text, counts);
         self.line(text + &until_last_training(self.time_left(), purpose, counts));
     }
@@ -233,7 +234,8 @@ impl SessionProgress {
         self.progress.update(|state| state.phase = ROLLOUTS.into());
     }
 
-    /// The place of a rollout among those that verify a policy, from 1; empty for another rollout.
+    /// The place of a rollout among the rollouts that verify a policy, from 1; empty for another
+    /// rollout.
     fn place(&self, purpose: Purpose, rollout: u32) -> String {
         match purpose.verifies() {
             true => format!(" ({} of {})", rollout + 1, self.verification_rollouts),
@@ -338,22 +340,29 @@ pub fn refit_failed(recordings: u32, reason: &str) -> String {
     )
 }
 
-/// The line for a new candidate. Its number counts from 0, as its folder's name does; its place
-/// among all candidates, or among those of a search that may end early, counts from 1.
-fn proposed(candidate: u32, purpose: Purpose, why: &str, counts: &CandidateCounts) -> String {
+/// The line for a new candidate. Its number counts from 0, as its folder's name does. Its place
+/// among all candidates, or among the candidates of a search that may end early, counts from 1.
+fn proposed(
+    candidate: u32,
+    purpose: Purpose,
+    description: &str,
+    counts: &CandidateCounts,
+) -> String {
     let CandidateCounts { searched, most_searched, total } = counts;
     match total {
-        Some(total) => format!("candidate {candidate} ({} of {total}): {why}", candidate + 1),
-        None if purpose.is_searched() => {
-            format!("candidate {candidate}: {why}, {searched} of at most {most_searched}")
+        Some(total) => {
+            format!("candidate {candidate} ({} of {total}): {description}", candidate + 1)
         }
-        None => format!("candidate {candidate}: {why}"),
+        None if purpose.is_searched() => {
+            format!("candidate {candidate}: {description}, {searched} of at most {most_searched}")
+        }
+        None => format!("candidate {candidate}: {description}"),
     }
 }
 
-/// The end of a proposal's line that says how much time is left until the last training ends, or at
-/// most in a search that may end early. It is empty if the time is not known, as in such a search
-/// once a policy is verified or compared, because this may be the last candidate.
+/// End of a proposal's line with the time left until the last training ends; in a search that may
+/// end early, the most time that may be left. The text is empty if the time is not known, and in
+/// such a search for a candidate that is verified or compared, because it may be the last one.
 fn until_last_training(
     left: Option<Duration>,
     purpose: Purpose,
@@ -387,26 +396,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_candidate_is_the_last_of_all() {
+    fn the_last_candidate_has_the_last_place_of_all() {
         let settings = SessionSettings::quick();
         let progress = SessionProgress::new(&settings, &Progress::lines(), &Stop::default());
-        assert_eq!(progress.candidates, 11, "the last of twelve is a copy");
+        assert_eq!(progress.candidates, 11, "the last of twelve candidates is a copy");
         let counts = CandidateCounts { searched: 10, most_searched: 10, total: Some(12) };
-        let told = proposed(11, Purpose::Incumbent, "the last", &counts);
-        assert_eq!(told, "candidate 11 (12 of 12): the last");
+        let line = proposed(11, Purpose::Incumbent, "the last", &counts);
+        assert_eq!(line, "candidate 11 (12 of 12): the last");
     }
 
     #[test]
     fn a_search_that_may_end_early_counts_its_own_candidates() {
         let counts = CandidateCounts { searched: 10, most_searched: 10, total: None };
-        let told = |purpose| proposed(13, purpose, "why", &counts);
-        assert_eq!(told(Purpose::Search), "candidate 13: why, 10 of at most 10");
-        assert_eq!(told(Purpose::Incumbent), "candidate 13: why");
+        let line = |purpose| proposed(13, purpose, "purpose", &counts);
+        assert_eq!(line(Purpose::Search), "candidate 13: purpose, 10 of at most 10");
+        assert_eq!(line(Purpose::Incumbent), "candidate 13: purpose");
     }
 
     #[test]
     fn the_time_left_of_a_search_that_may_end_early_is_a_limit() {
-        let told = |total, purpose, left| {
+        let line = |total, purpose, left| {
             until_last_training(
                 left,
                 purpose,
@@ -415,16 +424,16 @@ mod tests {
         };
         let left = Some(Duration::from_secs(240));
         assert_eq!(
-            told(Some(12), Purpose::Search, left),
+            line(Some(12), Purpose::Search, left),
             "; about 4 min until the last training ends"
         );
         assert_eq!(
-            told(None, Purpose::Search, left),
+            line(None, Purpose::Search, left),
             "; at most about 4 min until the last training ends"
         );
-        assert_eq!(told(None, Purpose::Incumbent, left), "");
-        assert_eq!(told(None, Purpose::Baseline, left), "");
-        assert_eq!(told(None, Purpose::Search, None), "");
+        assert_eq!(line(None, Purpose::Incumbent, left), "");
+        assert_eq!(line(None, Purpose::Baseline, left), "");
+        assert_eq!(line(None, Purpose::Search, None), "");
     }
 
     #[test]
@@ -437,7 +446,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_candidate_is_that_of_the_largest_mean_return() {
+    fn the_best_candidate_has_the_largest_mean_return() {
         assert_eq!(best(&BTreeMap::new()), "");
         let candidates = BTreeMap::from([
             (0, (vec![500.0, 100.0], 1)),

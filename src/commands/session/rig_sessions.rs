@@ -67,8 +67,8 @@ pub fn run(
     let consent = arguments.consent.with_guard(arguments.guard)?;
     let begins = arguments.resume.is_none();
     let mut place = None;
-    // Held to the end, so that another command does not take these sessions, while they begin, for
-    // the remains of killed ones.
+    // Held to the end: otherwise another command could take these sessions, while they begin, for
+    // the remains of killed sessions.
     let mut _root_lock = None;
     let (root, sessions) = match &arguments.resume {
         Some(root) => (root.clone(), resume_all(arguments, root, &devices)?),
@@ -81,7 +81,8 @@ pub fn run(
             (root, sessions)
         }
     };
-    // Method and estimators are the same in all sessions, so the first session speaks for all.
+    // Method and estimators are the same in all sessions, so the notes on the first session hold
+    // for all.
     if let Some((_, settings)) = sessions.first() {
         print_notes(arguments, settings);
     }
@@ -130,7 +131,7 @@ pub fn run(
     print_results(rigs, ended, failed, &root, started, output)
 }
 
-/// Prints the results of all sessions; returns one failure for all that failed.
+/// Prints the results of all sessions; returns one failure for all failed sessions.
 fn print_results(
     rigs: Vec<Rig>,
     ended: Vec<Result<(), Failure>>,
@@ -217,8 +218,7 @@ fn in_toml(seed: u64) -> u64 {
     seed & i64::MAX as u64
 }
 
-/// Begins the sessions in a folder. The folder may hold remains of sessions that were killed as
-/// they began; these are removed.
+/// Begins the sessions in a folder. Removes the remains of sessions that were killed as they began.
 fn begin(
     root: &Path,
     settings: Vec<SessionSettings>,

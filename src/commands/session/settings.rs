@@ -1,5 +1,5 @@
-//! The settings of a session: those of a new session from the command line, or those in the folder
-//! of a session that is resumed.
+//! The settings of a session: from the command line for a new session, from the folder for a
+//! session that is resumed.
 
 use std::path::Path;
 
@@ -111,7 +111,7 @@ pub fn begun(
 ) -> Result<(SessionFolder, SessionSettings), Failure> {
     let settings = SessionSettings { name, ..settings };
     // Options that are each within their range may together describe a Qube that is outside of its
-    // range. A session with it could not be resumed.
+    // range. A session with such a Qube could not be resumed.
     settings.check().map_err(Failure::usage)?;
     let configuration = settings.to_toml().map_err(Failure::failed)?;
     let folder =
@@ -176,8 +176,8 @@ pub fn reopened(
     Ok((folder, settings))
 }
 
-/// The clock of a session that is resumed: that of its recordings, so that an emulated Qube goes on
-/// as it began, unless the command line names another.
+/// The clock of a session that is resumed: of an emulated Qube the clock of the recordings, so that
+/// it continues as it began, unless the command line names another; otherwise the device's.
 pub fn resumed_clock(
     paths: &SessionPaths,
     rigs: &RigArguments,
@@ -195,8 +195,8 @@ pub fn resumed_clock(
         }
         (None, None) if !device.choice.is_hardware() => {
             print_message(
-                "note: no recording says under which clock this session began; it goes on by the wall clock, and \
-                 with --clock virtual as fast as the processor can",
+                "note: no recording says under which clock this session began; it goes on by the wall clock; \
+                 --clock virtual lets it run as fast as the processor can",
             );
             device.clock
         }

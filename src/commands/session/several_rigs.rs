@@ -1,5 +1,5 @@
 //! Selects the Qubes of a session that drives several of them, with one policy for each or one for
-//! all, and gives the command that resumes it.
+//! all, and gives the command that resumes any session.
 
 use std::path::Path;
 
@@ -24,8 +24,8 @@ pub struct SeveralRigs {
     pub devices: Vec<ChosenDevice>,
 }
 
-/// Selects the Qubes that the command line names, or those with which a session is resumed; `None`
-/// if there is only one.
+/// Selects the Qubes that the command line names, or the Qubes with which a session is resumed;
+/// `None` if there is only one.
 pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
     let rigs = &arguments.rigs;
     let Some(root) = &arguments.resume else {
@@ -52,7 +52,7 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
         let devices = devices_to_resume(arguments, root, &known)?;
         return Ok(Some(SeveralRigs { policy: RigPolicy::Own, devices }));
     }
-    // With a single Qube the session itself reports what is wrong with its folder.
+    // With a single Qube the session itself reports the fault of its folder.
     if arguments.rigs.count() > 1 {
         if root.is_dir() && RigSessions::have_not_begun(root).map_err(|it| failures::folder(&it))? {
             return Err(failures::folder(&FolderError::NotBegun { path: root.clone() }));
@@ -69,9 +69,9 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
     Ok(Some(SeveralRigs { policy: RigPolicy::Shared, devices }))
 }
 
-/// Selects the Qubes for a session that is resumed: those that the command line names, or emulated
-/// ones if it names none and the session began with emulated ones only. `known` are the devices
-/// with which the session began.
+/// Selects the Qubes for a session that is resumed: the Qubes that the command line names, or
+/// emulated ones if the command line names none and the session began with emulated ones only.
+/// `known` are the devices with which the session began.
 ///
 /// Refuses another number of Qubes, and an emulated Qube in the place of a real one or the reverse.
 fn devices_to_resume(
@@ -142,7 +142,7 @@ pub fn resume_command(
             *option = format!(" --device {EMULATED}");
         }
     }
-    // `--home` is one for all Qubes.
+    // One `--home` applies to all Qubes, so the command names it once.
     let homes = devices.iter().map(ChosenDevice::home_option);
     options.extend(homes.filter(|home| !home.is_empty()).take(1));
     if devices.iter().any(|device| device.clock == ClockChoice::Virtual) {

@@ -129,9 +129,9 @@ fn spread(
             extent.verification_rollouts,
         ),
     ];
-    if let Some((what, key, rollouts)) = spread.into_iter().find(|(.., number)| *number < count) {
+    if let Some((name, key, rollouts)) = spread.into_iter().find(|(.., number)| *number < count) {
         return Err(Failure::usage(format!(
-            "{rollouts} {what} cannot be spread over {count} Qubes: make {key} in --config {count} or more, best a \
+            "{rollouts} {name} cannot be spread over {count} Qubes: make {key} in --config {count} or more, best a \
              multiple of {count}"
         )));
     }

@@ -30,7 +30,7 @@ impl SessionTable {
         })
     }
 
-    /// The table for people. Its rows fit into 80 columns if psi has at most 19 entries; paths and
+    /// The table for people. Its rows fit into 80 columns if psi has at most 20 entries; paths and
     /// the names in psi may be longer.
     pub fn text(&self) -> String {
         let mut text =
@@ -184,7 +184,8 @@ impl SessionTable {
         text
     }
 
-    /// The table as JSON, for scripts; the caller adds the elapsed time.
+    /// The table as JSON, for scripts; the caller adds the path of the report, the elapsed time and
+    /// the reason of the end.
     pub fn json(&self) -> Value {
         let report = &self.0;
         let valued = |scored: &ScoredCandidate| valued(&report.psi, scored);
@@ -246,7 +247,7 @@ fn identification(known: &Identification) -> Value {
 }
 
 /// The table's word for a candidate's purpose. `incumbent` gives the number of the candidate whose
-/// policy it runs again.
+/// policy this one runs again.
 fn word(purpose: Purpose, incumbent: impl FnOnce() -> u32) -> String {
     match purpose {
         Purpose::Excitation => "excitation".into(),
@@ -322,7 +323,8 @@ fn verified(scored: &ScoredCandidate) -> String {
 }
 
 /// The three parameters of a profile with the largest relative errors, as a line; empty without a
-/// profile. Friction, dead zones and cable may be 0, so that a relative error says nothing of them.
+/// profile or without errors in it. Friction, dead zones and cable may be 0, so that a relative
+/// error does not describe them.
 fn least_certain(profile: Option<&Profile>) -> String {
     let Some(profile) = profile else { return String::new() };
     let model = profile.model();
@@ -333,7 +335,7 @@ fn least_certain(profile: Option<&Profile>) -> String {
     };
     let mut errors: Vec<_> = DomainParameter::ALL.into_iter().filter_map(relative).collect();
     errors.sort_by(|(_, one), (_, other)| other.total_cmp(one));
-    let told: Vec<_> = errors
+    let parts: Vec<_> = errors
         .iter()
         .take(3)
         .map(|(name, share)| match 100.0 * share {
@@ -341,7 +343,7 @@ fn least_certain(profile: Option<&Profile>) -> String {
             _ => format!("{name} +- over 100 %"),
         })
         .collect();
-    if told.is_empty() { String::new() } else { format!("least certain: {}\n", told.join(", ")) }
+    if parts.is_empty() { String::new() } else { format!("least certain: {}\n", parts.join(", ")) }
 }
 
 #[cfg(test)]

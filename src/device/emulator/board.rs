@@ -15,7 +15,8 @@ mod failing;
 
 const WATCHDOG_US: u64 = WATCHDOG_MS as u64 * 1000;
 
-/// Lowest message type of replies. A board that receives a reply hears another device, or an echo.
+/// Lowest message type of replies. A board that receives a reply receives it from another device,
+/// or as an echo.
 const FIRST_REPLY_TYPE: u8 = 0x80;
 
 /// Random stream of the nonces, separate from the plant's.
@@ -44,15 +45,16 @@ pub struct Board {
     now_us: u64,
     /// Time at which the program started, us; the program's clock counts from here.
     booted_us: u64,
-    /// Time until which the program does not run, us; `u64::MAX` is for ever, and `None` means that
-    /// the program runs. While it does not, the Qube keeps its last motor command.
+    /// Time until which the program does not run, us; `u64::MAX` means that the program never
+    /// starts again, and `None` that it runs. While the program does not run, the Qube keeps its
+    /// last motor command.
     dark_until_us: Option<u64>,
     state: DeviceState,
     /// Nonce for the next arm; 0 is none.
     nonce: u32,
     watchdog_tripped: bool,
     fault_began: bool,
-    /// Whether an amplifier fault has led to Faulted since the last hello.
+    /// True if an amplifier fault has led to Faulted since the last hello or restart.
     amplifier_failed: bool,
     stall_error: bool,
     frozen_theta_counts: Option<i32>,
@@ -61,7 +63,7 @@ pub struct Board {
     frozen_alpha_counts: Option<i32>,
     /// Time at which a Qube that is switched off is switched on again, us.
     qube_returns_us: Option<u64>,
-    /// Shifts that the last start of board or Qube added to the counts.
+    /// Shifts that the last start of board or Qube added to the counts, counts.
     theta_shift: i32,
     alpha_shift: i32,
     watchdog_fed_us: u64,
@@ -125,8 +127,8 @@ impl Board {
         board
     }
 
-    /// Advances the clock to `now_us`, us; a time in the past changes nothing. Watchdog, fault and
-    /// restart take effect at their own times on the way.
+    /// Advances the clock to `now_us`, us; a time in the past changes nothing. Watchdog, fault, and
+    /// restarts of board and Qube take effect at their own times on the way.
     pub fn advance_to(&mut self, now_us: u64) {
         while let Some(event_us) = self.next_event_us().filter(|event_us| *event_us <= now_us) {
             self.now_us = self.now_us.max(event_us);

@@ -53,7 +53,7 @@ impl UsbBridge {
     }
 }
 
-/// The first tick of a periodic timer at or after a time.
+/// The first expiry of a periodic timer at or after a time.
 fn next(time_ns: Nanoseconds, interval_ns: Nanoseconds, phase_ns: Nanoseconds) -> Nanoseconds {
     let offset_ns = phase_ns % interval_ns;
     (time_ns + interval_ns - offset_ns).div_ceil(interval_ns) * interval_ns + offset_ns

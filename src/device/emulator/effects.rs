@@ -68,7 +68,8 @@ pub struct Effects {
     /// arm's.
     #[serde(skip_serializing_if = "is_zero")]
     pub tilt_rad: f64,
-    /// Largest deviation of the motor's torque from its mean over a turn, as a fraction of it.
+    /// Largest deviation of the motor's torque from its mean over a turn, as a fraction of that
+    /// mean.
     #[serde(skip_serializing_if = "is_zero")]
     pub ripple: f64,
     /// Torque of the dry friction in the pendulum's bearing, N m.
@@ -155,8 +156,8 @@ pub(super) struct ActingEffects {
     slow_loss_w: f64,
     /// The arm's friction without the back-EMF, N m s/rad.
     rotary_damping_n_m_s: f64,
-    /// Torque of the pendulum's weight, at the arm's end, about a horizontal axis through the
-    /// arm's other end, N m. The arm itself is balanced, as its inertia in the equations says.
+    /// Torque of the pendulum's weight, at the arm's end, about a horizontal axis through the arm's
+    /// other end, N m. The arm itself is balanced, as its inertia in the equations implies.
     arm_gravity_n_m: f64,
 }
 
@@ -236,7 +237,7 @@ impl ActingEffects {
         self.effects.pendulum_friction_n_m * x / (1.0 / 3.0 + x.abs())
     }
 
-    /// The torque of friction and cable on the arm beyond that of the equations, N m.
+    /// The torque of friction and cable on the arm beyond the torque in the equations, N m.
     fn arm_n_m(&mut self, dynamics: &NonidealDynamics, state: &State, step_s: f64) -> f64 {
         let Effects { presliding_rad, stribeck, hysteresis_n_m, slack, .. } = self.effects;
         let velocity = state.theta_dot;
@@ -331,7 +332,7 @@ mod tests {
     fn friction_with_presliding_springs_back_from_a_small_push() {
         let mut plant = plant(Effects { presliding_rad: 0.05, ..Effects::NONE });
         moved(&mut plant, 0.0, 20_000_000);
-        // Less than the friction's torque.
+        // The push is smaller than the friction's torque.
         let pushed = moved(&mut plant, 0.1, 30_000_000);
         assert!(pushed > 0.003, "{pushed}");
         let back = moved(&mut plant, 0.0, 40_000_000);
@@ -411,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn a_strain_slips_at_its_largest() {
+    fn a_strain_does_not_exceed_its_largest_value() {
         let mut strain = 0.0;
         for _ in 0..100_000 {
             strain = strained(strain, 40.0, 1.5, 1e-4);

@@ -4,7 +4,7 @@
 /// forms, for example `silent@2`, `garble@10`, `wrong-version`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum EmulatorFault {
-    /// The program stops answering; only its watchdog still works.
+    /// The program stops answering; only its watchdog works.
     Silent {
         /// Onset, s.
         after_s: f64,
@@ -14,7 +14,7 @@ pub enum EmulatorFault {
         /// Interval n, replies.
         every: u32,
     },
-    /// The firmware speaks the previous version of the protocol.
+    /// The firmware uses the previous version of the protocol.
     WrongVersion,
     /// The pendulum's encoder cable is loose: its count freezes.
     FrozenAlpha {
@@ -32,7 +32,7 @@ pub enum EmulatorFault {
         /// Onset, s.
         after_s: f64,
     },
-    /// The arm is blocked. At up to 5 V the Qube's own stall detection stays silent.
+    /// The arm is blocked. At up to 5 V the Qube's own stall detection does not respond.
     BlockedArm {
         /// Onset, s.
         after_s: f64,
@@ -55,7 +55,7 @@ pub enum EmulatorFault {
         /// Onset, s.
         after_s: f64,
     },
-    /// The Qube no longer answers the board.
+    /// The Qube does not answer the board.
     QubeAbsent {
         /// Onset, s.
         after_s: f64,
@@ -157,7 +157,7 @@ pub enum EmulatorFault {
     OneSidedMotor {
         /// Onset, s.
         after_s: f64,
-        /// Whether the positive direction works.
+        /// True if the positive direction works.
         positive: bool,
     },
     /// The board drives the motor with a voltage of its own while it is armed, and reports it.
@@ -167,7 +167,7 @@ pub enum EmulatorFault {
         /// Voltage at the motor, V, from -5 to 5.
         voltage_v: f64,
     },
-    /// A disarm has no effect, as the board's answers to it say; its watchdog works.
+    /// A disarm has no effect, and the board's answers to it report so; its watchdog works.
     IgnoredDisarm {
         /// Onset, s.
         after_s: f64,

@@ -1,6 +1,6 @@
 //! Faults of an emulated Qube's encoders, motor, arm and pendulum, over the Qube's own time. The
-//! board itself makes some of these faults: encoders that freeze for good, connections in reverse,
-//! a dead motor and a blocked arm.
+//! board itself makes some of these faults: [`EmulatorFault::FrozenTheta`],
+//! [`EmulatorFault::FrozenAlpha`], connections in reverse, a dead motor and a blocked arm.
 
 use firmware_protocol::scaling::{TACHOMETER_NEGATIVE, TACHOMETER_STILL};
 
@@ -28,7 +28,7 @@ pub struct FaultProgress {
     stage: Stage,
     /// Readings of intact encoders at the onset of the fault.
     held: TrueReadings,
-    /// Shift of the counts: counts that were lost, or that a jump added.
+    /// Shift of the counts: counts that were lost, or that a jump or disturbances added.
     theta_shift: i32,
     alpha_shift: i32,
 }
@@ -52,7 +52,8 @@ impl FaultProgress {
         Self { fault, stage: Stage::Before, held, theta_shift: 0, alpha_shift: 0 }
     }
 
-    /// Time at which the fault begins or ends, whichever is next, us; `None` if neither will come.
+    /// Time at which the fault begins, adds its next count or ends, whichever is next, us; `None`
+    /// if none of these will come.
     pub fn next_us(&self) -> Option<u64> {
         let fault = self.fault?;
         if let (Stage::During, EmulatorFault::DriftingTheta { counts_s, .. }) = (self.stage, fault)
@@ -76,13 +77,14 @@ impl FaultProgress {
         }
     }
 
-    /// Enters the next stage, with the readings of intact encoders at this time; returns the
+    /// Carries out the change that is due, with the readings of intact encoders at this time:
+    /// enters the next stage, or adds a count of [`EmulatorFault::DriftingTheta`]. Returns the
     /// fraction of the current that the motor draws from here on, if the fault changes it.
-    pub fn advance_stage(&mut self, truly: TrueReadings) -> Option<f64> {
+    pub fn advance_stage(&mut self, intact: TrueReadings) -> Option<f64> {
         match (self.stage, self.fault?) {
             (Stage::Before, fault) => {
                 self.stage = Stage::During;
-                self.held = truly;
+                self.held = intact;
                 match fault {
                     EmulatorFault::JumpTheta { counts, .. } => self.theta_shift = counts,
                     EmulatorFault::JumpAlpha { counts, .. } => self.alpha_shift = counts,
@@ -95,11 +97,11 @@ impl FaultProgress {
             }
             (Stage::During, EmulatorFault::LapsingTheta { .. }) => {
                 self.stage = Stage::After;
-                self.theta_shift = self.held.theta_counts.wrapping_sub(truly.theta_counts);
+                self.theta_shift = self.held.theta_counts.wrapping_sub(intact.theta_counts);
             }
             (Stage::During, EmulatorFault::LapsingAlpha { .. }) => {
                 self.stage = Stage::After;
-                self.alpha_shift = self.held.alpha_counts.wrapping_sub(truly.alpha_counts);
+                self.alpha_shift = self.held.alpha_counts.wrapping_sub(intact.alpha_counts);
             }
             (
                 Stage::During,
@@ -110,12 +112,12 @@ impl FaultProgress {
         None
     }
 
-    /// The readings that the faulty encoders give in place of the intact ones `truly`.
-    pub fn readings(&self, truly: TrueReadings) -> TrueReadings {
+    /// The readings that the faulty encoders give in place of the readings `intact`.
+    pub fn readings(&self, intact: TrueReadings) -> TrueReadings {
         let mut seen = TrueReadings {
-            theta_counts: truly.theta_counts.wrapping_add(self.theta_shift),
-            alpha_counts: truly.alpha_counts.wrapping_add(self.alpha_shift),
-            ..truly
+            theta_counts: intact.theta_counts.wrapping_add(self.theta_shift),
+            alpha_counts: intact.alpha_counts.wrapping_add(self.alpha_shift),
+            ..intact
         };
         match self.fault {
             Some(EmulatorFault::StuckTheta { .. }) if self.stage == Stage::During => {
@@ -130,15 +132,15 @@ impl FaultProgress {
                 seen.alpha_counts = self.held.alpha_counts;
             }
             Some(EmulatorFault::ScaledTheta { factor }) => {
-                let gone_counts = truly.theta_counts.wrapping_sub(self.held.theta_counts);
+                let gone_counts = intact.theta_counts.wrapping_sub(self.held.theta_counts);
                 let counted = (f64::from(gone_counts) * factor).round() as i32;
                 seen.theta_counts = self.held.theta_counts.wrapping_add(counted);
-                seen.tachometer_raw = scaled_tachometer(truly.tachometer_raw, factor);
+                seen.tachometer_raw = scaled_tachometer(intact.tachometer_raw, factor);
             }
             Some(EmulatorFault::ExchangedEncoders) => {
-                seen.theta_counts = truly.alpha_counts;
-                seen.alpha_counts = truly.theta_counts;
-                seen.tachometer_raw = truly.pendulum_tachometer_raw;
+                seen.theta_counts = intact.alpha_counts;
+                seen.alpha_counts = intact.theta_counts;
+                seen.tachometer_raw = intact.pendulum_tachometer_raw;
             }
             _ => {}
         }
@@ -167,7 +169,7 @@ impl FaultProgress {
         }
     }
 
-    /// Whether a hand holds the pendulum.
+    /// Returns whether a hand holds the pendulum.
     pub fn holds_pendulum(&self) -> bool {
         self.stage == Stage::During
             && matches!(self.fault, Some(EmulatorFault::HeldPendulum { .. }))
@@ -179,11 +181,11 @@ fn scaled_tachometer(raw: u32, factor: f64) -> u32 {
     if raw == TACHOMETER_STILL {
         return raw;
     }
-    let ticks = f64::from(raw & !TACHOMETER_NEGATIVE) / factor;
-    if ticks >= f64::from(TACHOMETER_STILL) {
+    let interval = f64::from(raw & !TACHOMETER_NEGATIVE) / factor;
+    if interval >= f64::from(TACHOMETER_STILL) {
         return TACHOMETER_STILL;
     }
-    (raw & TACHOMETER_NEGATIVE) | ticks.round().max(1.0) as u32
+    (raw & TACHOMETER_NEGATIVE) | interval.round().max(1.0) as u32
 }
 
 #[cfg(test)]
@@ -198,17 +200,18 @@ mod tests {
     };
 
     #[test]
-    fn an_encoder_of_half_or_twice_as_many_lines_counts_so_and_its_tachometer_too() {
-        for (factor, counts, ticks) in [(0.5, 400, 2000), (2.0, 100, 500)] {
+    fn an_encoder_with_other_lines_scales_its_count_and_its_tachometer() {
+        for (factor, counts, interval) in [(0.5, 400, 2000), (2.0, 100, 500)] {
             let mut fault_progress =
                 FaultProgress::new(Some(EmulatorFault::ScaledTheta { factor }));
             fault_progress.advance_stage(START);
             let seen = fault_progress.readings(TrueReadings { theta_counts: 300, ..START });
-            assert_eq!((seen.theta_counts, seen.tachometer_raw), (counts, ticks));
+            assert_eq!((seen.theta_counts, seen.tachometer_raw), (counts, interval));
             let still = TrueReadings { tachometer_raw: TACHOMETER_STILL, ..START };
             assert_eq!(fault_progress.readings(still).tachometer_raw, TACHOMETER_STILL);
             let back = TrueReadings { tachometer_raw: TACHOMETER_NEGATIVE | 1000, ..START };
-            assert_eq!(fault_progress.readings(back).tachometer_raw, TACHOMETER_NEGATIVE | ticks);
+            let seen = fault_progress.readings(back);
+            assert_eq!(seen.tachometer_raw, TACHOMETER_NEGATIVE | interval);
         }
     }
 
@@ -229,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_one_sided_amplifier_gives_nothing_the_other_way() {
+    fn a_one_sided_amplifier_gives_0_v_in_the_other_direction() {
         let fault = EmulatorFault::OneSidedMotor { after_s: 1.0, positive: false };
         let mut fault_progress = FaultProgress::new(Some(fault));
         assert_eq!(fault_progress.driven_v(2.0), 2.0);

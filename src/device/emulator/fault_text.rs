@@ -1,4 +1,4 @@
-//! The text forms of an emulated Qube's faults, as `--fault` takes and recordings keep them.
+//! The text forms of an emulated Qube's faults, as `--fault` takes them.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,10 +7,10 @@ use thiserror::Error;
 
 use super::EmulatorFault;
 
-/// Default size of an encoder's jump, counts.
-const USUAL_JUMP_COUNTS: i32 = 300;
+/// Default size of an encoder's jump, counts, and of its drift, counts/s.
+const USUAL_COUNTS: i32 = 300;
 
-/// Largest number in the text form of a fault, for times in s more than thirty years.
+/// Largest number after `@` and after `+`; as a time, s, it is more than thirty years.
 const LARGEST: f64 = 1e9;
 
 /// The text form of each fault, and its effect. S, D, N, F and V are numbers: S is a time after the
@@ -24,7 +24,10 @@ const FORMS: [(&str, &str); 28] = [
     ("frozen-alpha@S[+D]", "the pendulum's count stays [for D]"),
     ("jump-theta@S[:N]", "the arm's count jumps by 300 or N"),
     ("jump-alpha@S[:N]", "the pendulum's count jumps by 300 or N"),
-    ("drifting-theta@S[:N]", "the arm's count gains 300 or N counts a second, 1 to 100000"),
+    (
+        "drifting-theta@S[:N]",
+        "the arm's count gains 300 or N counts a second, 1 to 100000 in either direction",
+    ),
     ("scaled-theta@F", "the arm's encoder gives F times as many counts"),
     ("flipped-theta", "the arm's encoder is wired in reverse"),
     ("flipped-alpha", "the pendulum's encoder is wired in reverse"),
@@ -33,8 +36,8 @@ const FORMS: [(&str, &str); 28] = [
     ("dead-motor@S", "no current flows"),
     ("weak-motor@F", "only the fraction F of the current flows"),
     ("one-sided-motor@S:+|-", "only voltages of this sign drive"),
-    ("stuck-output@S:V", "an armed board drives with V volts, whatever it is told"),
-    ("ignored-disarm@S", "a disarm has no effect, and the board says so"),
+    ("stuck-output@S:V", "an armed board drives with V volts and ignores its acts"),
+    ("ignored-disarm@S", "a disarm has no effect, and the board reports so"),
     ("blocked-arm@S", "something holds the arm"),
     ("pushed-arm@S+D:V", "a hand pushes the arm as V volts would"),
     ("held-pendulum@S+D", "a hand holds the pendulum"),
@@ -42,7 +45,7 @@ const FORMS: [(&str, &str); 28] = [
     ("stall@S", "the Qube reports a stall"),
     ("qube-absent@S[+D]", "the Qube does not answer its board [is off for D]"),
     ("unplug@S[+D]", "the USB cable is pulled [for D]"),
-    ("power-loss@S, brown-out@S, board-restart@S", "the board loses power for good, or restarts"),
+    ("power-loss@S, brown-out@S, board-restart@S", "the board loses its supply, or restarts"),
     ("emergency-stop@S", "the emergency-stop switch is pressed for 2 s"),
 ];
 
@@ -131,19 +134,19 @@ impl fmt::Display for EmulatorFault {
     }
 }
 
-/// A text form taken apart: NAME, NAME@S, NAME@S+D, NAME@S:N or NAME@S+D:V.
+/// The parts of a text form: NAME, NAME@S, NAME@S+D, NAME@S:N or NAME@S+D:V.
 struct Parts<'a> {
     name: &'a str,
     /// The number after `@`, mostly a time in s.
     at: Option<f64>,
     /// The number after `+`, a duration in s.
     lasts_s: Option<f64>,
-    /// Everything after `:`.
+    /// The text after `:`.
     tail: Option<&'a str>,
 }
 
 impl<'a> Parts<'a> {
-    /// `None` if a number is none, or is out of range.
+    /// Splits a text form; `None` if the number after `@` or `+` is invalid or out of range.
     fn of(text: &'a str) -> Option<Self> {
         let Some((name, values)) = text.split_once('@') else {
             return Some(Self { name: text, at: None, lasts_s: None, tail: None });
@@ -160,14 +163,14 @@ impl<'a> Parts<'a> {
     }
 }
 
-/// A number within these limits.
+/// Parses a number within these limits.
 fn number(text: &str, limits: std::ops::RangeInclusive<f64>) -> Option<f64> {
     text.parse().ok().filter(|number| limits.contains(number))
 }
 
-/// The counts after `:`, or the usual ones without a `:`.
+/// The counts after `:`, or [`USUAL_COUNTS`] without a `:`.
 fn counts(tail: Option<&str>) -> Option<i32> {
-    tail.map_or(Some(USUAL_JUMP_COUNTS), |counts| counts.parse().ok())
+    tail.map_or(Some(USUAL_COUNTS), |counts| counts.parse().ok())
 }
 
 impl FromStr for EmulatorFault {

@@ -1,4 +1,4 @@
-//! An emulated Qube, which speaks the protocol from the device's side: plant, board and
+//! An emulated Qube, which implements the device's side of the protocol: plant, board and
 //! pseudo-terminal (pty).
 //!
 //! This module may import `clock`, `qube` and `firmware_protocol`, but neither the host's side of
@@ -42,13 +42,13 @@ pub struct EmulatorSettings {
     /// Initial state; with `None` the Qube is at rest and the seed determines the arm's angle.
     pub start: Option<State>,
     /// Hand and finger that move the arm in a power test, which shows whether the motor goes off
-    /// when its board loses power; `None` leaves the arm alone.
+    /// when its board loses power; with `None` nobody touches the arm.
     pub finger: Option<Finger>,
     /// Seed of all random numbers: initial position, start values of the counters and their shifts
     /// at a restart, nonces, the first boot id, and the jitter of commands. It is also the board's
     /// serial number.
     pub seed: u64,
-    /// Fault of the Qube.
+    /// Fault of the Qube or its board; `None` without a fault.
     pub fault: Option<EmulatorFault>,
     /// Angles of the arm's two hard stops, the lower first, rad.
     pub stops_rad: [f64; 2],

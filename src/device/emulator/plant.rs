@@ -25,7 +25,7 @@ const CONTACT_STEP_US: u64 = 500;
 /// be resolved.
 const PLAY_STEP_US: u64 = 250;
 
-/// Largest distance of the arm from its middle at the start, rad.
+/// Largest distance of the arm from its middle at a start that the seed determines, rad.
 const START_RANGE_RAD: f64 = 1.0;
 
 /// Capacity of the queue of commands in transit: 0.64 s of acts at 100 Hz. A command that finds the
@@ -240,7 +240,8 @@ impl EmulatedPlant {
         }
     }
 
-    /// The stop that an arm at this angle would have passed.
+    /// The angle of the stop that an arm at this angle would have passed, rad; `None` between the
+    /// stops.
     fn stop_beyond(&self, theta: f64) -> Option<f64> {
         let [lowest_rad, highest_rad] = self.stops_rad;
         if theta < lowest_rad {
@@ -304,14 +305,14 @@ impl EmulatedPlant {
         self.under_way.push_back(((self.time_us + delay_us).max(last_us), voltage_v));
     }
 
-    /// Holds the arm at its current angle for good.
+    /// Holds the arm at its current angle permanently.
     pub fn block_arm(&mut self) {
         self.arm_blocked = true;
         self.stop_arm_at(self.state.theta);
     }
 
-    /// Opens the motor's circuit for good: no current flows, so there is neither torque nor braking
-    /// by the back EMF.
+    /// Opens the motor's circuit permanently: no current flows, so there is neither torque nor
+    /// braking by the back EMF.
     pub fn disconnect_motor(&mut self) {
         self.motor_is_open = true;
         self.dynamics.ideal.torque_per_volt = 0.0;
@@ -342,8 +343,8 @@ impl EmulatedPlant {
         self.fault_progress.readings(self.true_readings()).alpha_counts
     }
 
-    /// The 24-bit register of the tachometer: the ticks of 25 ns in which the arm's encoder counts
-    /// four, and the direction.
+    /// The 24-bit register of the tachometer: the time in which the arm's encoder counts four, in
+    /// units of 25 ns, and the direction.
     #[must_use]
     pub fn tachometer_raw(&self) -> u32 {
         self.fault_progress.readings(self.true_readings()).tachometer_raw
@@ -375,12 +376,12 @@ impl EmulatedPlant {
 /// The tachometer's register at a velocity of this encoder's axis, rad/s.
 fn tachometer_register(encoder: Encoder, rad_s: f64) -> u32 {
     let counts_s = rad_s / encoder.rad_per_count();
-    let ticks = f64::from(TACHOMETER_COUNTS_S_TICKS) / counts_s.abs();
-    if ticks >= f64::from(TACHOMETER_STILL) {
+    let interval = f64::from(TACHOMETER_COUNTS_S_TICKS) / counts_s.abs();
+    if interval >= f64::from(TACHOMETER_STILL) {
         return TACHOMETER_STILL;
     }
     let direction = if counts_s < 0.0 { TACHOMETER_NEGATIVE } else { 0 };
-    direction | ticks.round().max(1.0) as u32
+    direction | interval.round().max(1.0) as u32
 }
 
 /// The longest step, us, with which friction near rest is integrated accurately.
@@ -466,7 +467,7 @@ mod tests {
     }
 
     #[test]
-    fn it_moves_as_the_shared_physics_do_however_time_is_cut() {
+    fn the_plant_moves_by_the_shared_physics_with_any_time_steps() {
         let (mut whole, mut cut) = (nominal(3), nominal(3));
         let mut reference = whole.state();
         for tick in 1..=50_u64 {
@@ -536,7 +537,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drifting_cable_takes_the_arm_along_as_fast_as_it_says() {
+    fn a_drifting_cable_moves_the_arm_at_its_drift_rate() {
         let rests_after = |seed: u64, cable_drift_rad_per_min: f64| {
             let nonidealities = Nonidealities {
                 cable_stiffness_n_m_rad: 1e-3,

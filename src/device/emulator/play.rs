@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_back_costs_the_play() {
+    fn a_motor_that_turns_back_crosses_the_play_before_it_moves_the_arm() {
         let mut plant = plant(0.0175, friction());
         plant.set_voltage(0.4);
         plant.advance_to(300_000);
@@ -179,7 +179,7 @@ mod tests {
                 first_us = Some(time_us);
             }
         }
-        let first_us = first_us.expect("the arm is taken along");
+        let first_us = first_us.expect("the motor moves the arm");
         assert!((8_010_000..8_400_000).contains(&first_us), "at {first_us} us");
         assert!(plant.state().theta < rests);
     }

@@ -61,20 +61,20 @@ impl Link {
     }
 }
 
-/// Whether this is the path of a pty that does not exist any more.
+/// Returns whether this is the path of a pty that is gone.
 fn is_gone_pty(target: &Path) -> bool {
     target.starts_with("/dev/pts") && !target.exists()
 }
 
-/// The error message for the name of a port that something else has.
+/// The error message for a port's name that another file or link has.
 fn taken(path: &Path) -> String {
-    let what = match std::fs::read_link(path) {
+    let reason = match std::fs::read_link(path) {
         Ok(target) => {
             format!("is a link to {}, perhaps of another emulated Qube", target.display())
         }
         Err(_) => "exists and is not a link".into(),
     };
-    format!("{} {what}: choose another name, or remove it", path.display())
+    format!("{} {reason}: choose another name, or remove it", path.display())
 }
 
 /// The two ends of a pty.
@@ -117,7 +117,7 @@ impl EmulatedQube {
     /// Opens a pty and starts serving it.
     ///
     /// # Errors
-    /// The operating system has no more ptys or threads.
+    /// The operating system refuses a pty, a wake-up counter or a thread.
     pub fn spawn(settings: EmulatorSettings) -> io::Result<Self> {
         let pty = Pty::open()?;
         let port = pty.port.clone();
@@ -163,7 +163,7 @@ impl EmulatedQube {
     /// Another file or link has the name, or the link cannot be created.
     pub fn link_as(&mut self, path: &Path) -> io::Result<()> {
         let mut link = Link::lock(&self.link);
-        // The kernel may have given this port the number of the one that is gone.
+        // The kernel may have given this port the number of the pty that is gone.
         let is_left = |target: PathBuf| target == link.port || is_gone_pty(&target);
         if std::fs::read_link(path).is_ok_and(is_left) {
             std::fs::remove_file(path)?;
@@ -176,8 +176,8 @@ impl EmulatedQube {
         Ok(())
     }
 
-    /// Whether the Qube has ended by itself: a fault took its port away for good, or its pty
-    /// failed.
+    /// Returns whether the Qube has ended by itself: a fault took its port away permanently, or its
+    /// pty failed.
     #[must_use]
     pub fn is_gone(&self) -> bool {
         self.server.as_ref().is_none_or(JoinHandle::is_finished)
@@ -235,7 +235,7 @@ fn write(master: &impl AsFd, bytes: &[u8]) -> io::Result<()> {
 /// The reason why serving a pty ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Served {
-    /// The Qube was dropped, or its port is gone for good.
+    /// The Qube was dropped, or its port is gone permanently.
     Stopped,
     /// The port is gone, or the cable is plugged in again.
     Plug,

@@ -6,7 +6,8 @@ use thiserror::Error;
 /// First word of each address.
 const SCHEME: &str = "hil";
 
-/// Card type of an address that names none: the panel that most Qubes have.
+/// Card type of an address that names none: the USB panel of a QUBE-Servo 2, which is the most
+/// common.
 const USUAL_CARD: &str = "qube_servo2_usb";
 
 /// Card identifier of an address that names none: the first card of its type.
@@ -42,7 +43,7 @@ pub struct HilAddress {
 pub struct NotAnAddress(String);
 
 impl HilAddress {
-    /// Whether a device's name is meant as an address of a card, valid or not.
+    /// Returns whether a device's name begins like the address of a card, valid or not.
     #[must_use]
     pub fn is_meant(name: &str) -> bool {
         name == SCHEME || name.starts_with("hil:")
@@ -113,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn what_names_no_card_is_refused_with_an_example() {
+    fn a_text_that_names_no_card_is_refused_with_an_example() {
         let long = format!("hil:{}", "q".repeat(65));
         for text in
             ["hil:", "hilda", "hil:@0", "hil:qube@", "hil:a b@0", "hil:q@0\n", "hil:q\0@0", &long]

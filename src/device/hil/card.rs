@@ -174,7 +174,7 @@ impl Card {
         }
     }
 
-    /// Whether the library still knows the card.
+    /// Returns whether the card is valid to the library.
     pub(super) fn is_valid(&self) -> bool {
         self.call("hil_is_valid", |library| c_int::from(library.is_valid(self.handle)))
             .is_ok_and(|is_valid| is_valid != 0)
@@ -225,7 +225,8 @@ impl Card {
             .map(|code| code != 0)
     }
 
-    /// Whether the watchdog has expired; false where the card cannot tell or the call fails.
+    /// Returns whether the watchdog has expired; false if the card does not support the call or the
+    /// call fails.
     pub(super) fn watchdog_is_expired(&self) -> bool {
         self.call("hil_watchdog_is_expired", |library| library.watchdog_is_expired(self.handle))
             .is_ok_and(|code| code != 0)
@@ -243,7 +244,7 @@ impl Card {
         self.call("hil_watchdog_stop", |library| library.watchdog_stop(self.handle)).map(|_| ())
     }
 
-    /// A text of the card; `None` if it has none.
+    /// A text of the card; `None` if the library or the card has none.
     pub(super) fn text(&self, property: TextProperty) -> Option<String> {
         self.calling.begin("hil_get_string_property", self.clock.now_ns());
         let text = self.library.text(self.handle, property);
@@ -290,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn each_reason_not_to_open_says_what_to_do() {
+    fn each_reason_not_to_open_has_its_message() {
         let address: HilAddress = "hil".parse().unwrap();
         for (code, words) in [
             (108, "plug its USB cable in"),

@@ -22,15 +22,15 @@ const RING: usize = 8;
 /// Longest wait for the library's thread to finish its earlier work and load the library.
 const BEGIN_TIME: Duration = Duration::from_secs(1);
 
-/// Longest wait for the amplifier to go off when the process ends.
+/// Longest wait for the amplifier of each service to go off when the process ends.
 const AT_EXIT: Duration = Duration::from_millis(200);
 
 /// A request of the tick.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Request {
     pub(super) number: u64,
-    /// Time after which the request is dropped, ns: the tick no longer waits for the sample, or the
-    /// act answers a sample that is too old.
+    /// Time after which the request is dropped, ns: after it the tick does not wait for the sample,
+    /// or the act answers a sample that is too old.
     pub(super) expires_ns: Nanoseconds,
     pub(super) kind: RequestKind,
 }
@@ -104,8 +104,8 @@ impl CardService {
         let (operations, to_do) = crossbeam_channel::unbounded();
         let calling = Arc::new(Calling::default());
         let shared = Arc::new(Shared { operations, asked, answered, calling });
-        // A channel without a buffer: `send` fails if `start` has given up waiting and has returned
-        // nothing, so that the thread serves nobody.
+        // A channel without a buffer: `send` fails if `start` has given up waiting and returned an
+        // error, and the thread then serves nobody.
         let (loaded, is_loaded) = crossbeam_channel::bounded(0);
         let (serving, its_clock) = (Arc::clone(&shared), Arc::clone(&clock));
         let work = move || {
@@ -114,7 +114,7 @@ impl CardService {
                 .map(|library| Panel::new(library, address, calling, Arc::clone(&its_clock)));
             match panel {
                 Ok(panel) if loaded.send(Ok(())).is_ok() => {
-                    // Without real-time rights calls are late. The control thread asks for the same
+                    // Without real-time rights calls are late. The control thread requests the same
                     // rights and reports a refusal.
                     let _ = enter_realtime();
                     serve(panel, &serving, &to_do, to_serve, to_reply, &*its_clock);
@@ -185,16 +185,16 @@ impl CardService {
         self.shared.under_way(&*self.clock)
     }
 
-    /// Has the amplifier switched off and the card closed, and waits for that for at most
-    /// `longest`. Nothing can interrupt a call of the library; if one takes longer, the card is
-    /// closed after it.
+    /// Requests that the library's thread switch the amplifier off and close the card, and waits
+    /// for at most `longest`. Nothing can interrupt a call of the library; if one takes longer, the
+    /// card is closed after it.
     pub(super) fn end(&mut self, longest: Duration) {
         let _ = self.shared.perform(CardOperation::End, longest);
     }
 }
 
-/// The error of a service that cannot begin, because the library's thread is still in a call of an
-/// earlier service.
+/// The error of a service that does not begin in time. It names the call of an earlier service in
+/// which the library's thread is, if there is one.
 fn earlier_call(clock: &dyn Clock, port: String, waited: Duration) -> HilError {
     let alive = ALIVE.lock().unwrap_or_else(PoisonError::into_inner);
     let under_way = alive
@@ -238,8 +238,8 @@ fn wake(counter: &OwnedFd) -> bool {
 }
 
 /// Serves requests and operations until [`CardOperation::End`] has been served, or the counter
-/// `asked` cannot be read any more. At the end it switches the amplifier off, if the card still
-/// obeys, and closes the card.
+/// `asked` cannot be read. At the end it switches the amplifier off, if the card accepts that, and
+/// closes the card.
 fn serve(
     mut panel: Panel,
     shared: &Shared,
@@ -256,7 +256,7 @@ fn serve(
         loop {
             if let Ok(operation) = operations.try_recv() {
                 // An operation means that the motion is over, so its requests, above all its
-                // voltages, are void.
+                // voltages, must not be served.
                 while requests.pop().is_ok() {}
                 match operation {
                     CardOperation::Hello(result) => drop(result.send(panel.hello())),

@@ -22,7 +22,7 @@ pub enum HilError {
         /// Missing function.
         function: &'static str,
     },
-    /// The library finds no card at this address.
+    /// The library cannot reach a card at this address.
     NoCard {
         /// Address of the card.
         port: String,
@@ -66,22 +66,23 @@ pub enum HilError {
         /// Error text of the vendor's library.
         reason: String,
     },
-    /// A call of the library has not returned in time.
+    /// A call of the library has not returned in time, or the thread that makes the calls has
+    /// ended.
     Hung {
         /// Address of the card.
         port: String,
-        /// Function of the library.
+        /// Function of the library, or `a call` if no function is under way.
         function: &'static str,
-        /// Time since the function was called, s.
+        /// Time since the function was called, s; without a function, the longest wait.
         waited_s: f64,
     },
-    /// Arming was requested of a card that no hello has opened, or whose last fault no hello has
-    /// cleared.
+    /// Arming was requested of a card that is not open, or whose last fault no hello has cleared.
     NotGreeted {
         /// Address of the card.
         port: String,
     },
-    /// The thread that calls the library could not be started, or has ended.
+    /// The thread that calls the library, or a counter that wakes it, could not be created; or the
+    /// thread has ended.
     NoThread {
         /// Address of the card.
         port: String,
@@ -91,8 +92,8 @@ pub enum HilError {
 }
 
 impl HilError {
-    /// Whether a call of the library has not returned in time, which counts as a link without
-    /// samples and not as a wrong request.
+    /// Returns whether the error is [`Self::Hung`], which counts as a link without samples and not
+    /// as a wrong request.
     #[must_use]
     pub fn is_silence(&self) -> bool {
         matches!(self, Self::Hung { .. })

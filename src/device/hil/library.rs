@@ -1,7 +1,7 @@
 //! The vendor's library: the places where it is looked for, and the signatures of its functions.
 //! Only this file of the module calls the vendor's code.
 //!
-//! Signatures are those of `hil.h`, `quanser_types.h` and `quanser_messages.h` as the vendor
+//! The signatures come from `hil.h`, `quanser_types.h` and `quanser_messages.h` as the vendor
 //! publishes them (copyright Quanser; nothing is copied but names and types): the C declarations in
 //! the vendor's Python module `quanser/hardware.py` (`ffi.cdef`), checked against `hil.h` in public
 //! repositories. `t_error`, `t_int` are `int`, `t_uint32` is `unsigned int`, `t_boolean` is `char`,
@@ -112,7 +112,7 @@ pub(super) struct Channels {
 }
 
 impl Channels {
-    /// Whether current and velocity are finite numbers.
+    /// Returns whether current and velocity are finite numbers.
     pub(super) fn are_numbers(&self) -> bool {
         self.current_a.is_finite() && self.tachometer_counts_s.is_finite()
     }
@@ -174,7 +174,7 @@ impl Library {
     }
 
     pub(super) fn is_valid(&self, handle: Handle) -> bool {
-        // SAFETY: the function accepts any handle, also one that is no longer open.
+        // SAFETY: the function accepts any handle, also a closed one.
         unsafe { (self.functions.is_valid)(handle) != 0 }
     }
 

@@ -26,7 +26,7 @@ pub struct HilLink {
     address: HilAddress,
     clock: Arc<dyn Clock>,
     number: u64,
-    /// Whether a hello was answered and no fault has been latched since.
+    /// True if a hello was answered and no fault has been latched since.
     is_greeted: bool,
     is_armed: bool,
     /// Device time, us, of the last sample since the last hello, and the time of its request, ns.
@@ -39,8 +39,9 @@ impl HilLink {
     /// Loads the vendor's library. No card is opened before the first hello.
     ///
     /// # Errors
-    /// The library is not found or lacks a function (so is of another version). Or the thread that
-    /// calls it cannot start, or does not load it in time because it is still in an earlier call.
+    /// The library is not found, cannot be loaded, or lacks a function because it is of another
+    /// version; or the thread that calls the library cannot start, ends, or does not load the
+    /// library in time, as when it is in an earlier call.
     pub fn open(address: &HilAddress, clock: Arc<dyn Clock>) -> Result<Self, DeviceError> {
         let service = CardService::start(address.clone(), Arc::clone(&clock))?;
         Ok(Self {
@@ -56,8 +57,7 @@ impl HilLink {
         })
     }
 
-    /// Has the library's thread carry out an operation between motions, and waits for at most
-    /// `longest`.
+    /// Runs an operation between motions on the library's thread, and waits for at most `longest`.
     fn perform<T>(
         &self,
         operation: impl FnOnce(crossbeam_channel::Sender<Result<T, HilError>>) -> CardOperation,

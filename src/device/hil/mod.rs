@@ -7,11 +7,11 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | `address.rs` | the card's name, as users write it |
-//! | `error.rs` | the failures, as messages with a remedy |
+//! | `address.rs` | the card's address, as users write it |
+//! | `error.rs` | the failures, as messages, with a remedy where there is one |
 //! | `library.rs` | loading, and the signatures: the one file that calls the vendor's code |
 //! | `card.rs` | one card: typed calls, error codes as sentences |
-//! | `panel.rs` | the operations on one card: greet, arm, sample, act, off |
+//! | `panel.rs` | the operations on one card: hello, arm, sample, act, off, close |
 //! | `thread.rs` | the one thread that calls the library |
 //! | `card_service.rs` | the service of one card, and its exchange of requests and replies |
 //! | `link.rs` | the implementation of [`Device`](super::Device) |
@@ -33,7 +33,7 @@ pub use link::HilLink;
 /// function that the program needs.
 ///
 /// # Errors
-/// The library is not found, or it lacks a function and so is of another version.
+/// The library is not found, cannot be loaded, or lacks a function and so is of another version.
 pub fn find_library() -> Result<String, HilError> {
     library::Library::load().map(|library| library.name)
 }

@@ -10,12 +10,12 @@ use crate::clock::{Clock, Nanoseconds};
 use crate::device::{AmplifierState, Identity};
 use crate::qube::{MAX_VOLTAGE_V, Measurement, Status};
 
-/// Time limit of the library's watchdog, s, equal to that of the boards' firmware.
+/// Time limit of the library's watchdog, s, equal to the time limit of the boards' firmware.
 const WATCHDOG_S: f64 = WATCHDOG_MS as f64 * 1e-3;
 
-/// Time since the amplifier was armed or the last act succeeded, after which a sample first asks
-/// whether the watchdog has expired, ns. Acts come every 10 ms, so a running tick does not spend
-/// time on this call.
+/// Time since the amplifier was armed or the last act succeeded, after which a sample checks,
+/// before it reads, whether the watchdog has expired, ns. Acts come every 10 ms, so a running tick
+/// does not spend time on this call.
 const WATCHDOG_ASKED_AFTER_NS: Nanoseconds = 30_000_000;
 
 /// Number of consecutive failed acts after which the amplifier is switched off: a voltage whose act
@@ -25,13 +25,14 @@ const MAX_FAILED_ACTS: u32 = 2;
 /// The reason why the library gave no sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NoSample {
-    /// The card is not open, or the library no longer knows it.
+    /// The card is not open, or is not valid to the library.
     Gone,
-    /// The read failed, or gave a reading that is no number.
+    /// The read failed, or gave a current or a velocity that is not finite.
     Failed,
 }
 
-/// A Qube's panel behind the vendor's library. It belongs to the one thread that calls the library.
+/// The operations on the USB panel of a Qube: hello, arm, sample, act, off and close, each by calls
+/// of its card. Only the thread that calls the library uses the value.
 pub(super) struct Panel {
     library: Arc<Library>,
     address: HilAddress,
@@ -45,7 +46,7 @@ pub(super) struct Panel {
     /// Number that differs after each opening of the card.
     boot_id: u16,
     last: Measurement,
-    /// Time at which the watchdog was last started or fed, ns.
+    /// Time of the last arm or successful act, ns.
     fed_ns: Nanoseconds,
     applied_mv: i16,
     /// Time from the last sample to the act that answered it, us, until the next sample reports it.
@@ -78,7 +79,8 @@ impl Panel {
         }
     }
 
-    /// Opens the card unless it is open, switches its amplifier off, and reads its identity.
+    /// Opens the card unless a valid one is open, switches its amplifier off, and reads its
+    /// identity and, after an opening, [`Self::base_counts`].
     pub(super) fn hello(&mut self) -> Result<Identity, HilError> {
         if let Some(card) = self.card.take_if(|card| !card.is_valid()) {
             card.close();
@@ -86,7 +88,7 @@ impl Panel {
         if self.card.is_none() {
             self.open()?;
         } else if self.off().is_err() {
-            // A card that was unplugged may still be valid to the library.
+            // A card that was unplugged may be valid to the library.
             self.close();
             self.open()?;
         }
@@ -149,8 +151,8 @@ impl Panel {
         }
     }
 
-    /// Arms the amplifier at 0 V, with the watchdog running. After any error the amplifier is
-    /// switched off.
+    /// Arms the amplifier at 0 V, with the watchdog running. After any error it calls
+    /// [`Self::off`].
     pub(super) fn arm(&mut self) -> Result<(), HilError> {
         let armed = self.try_arm();
         if armed.is_err() {
@@ -162,8 +164,8 @@ impl Panel {
     /// Takes the steps of [`Self::arm`] up to the first error, after which the amplifier may be on.
     fn try_arm(&mut self) -> Result<(), HilError> {
         let card = self.card()?;
-        // The amplifier is enabled last: the output is then 0 V, the card knows its outputs for an
-        // expired watchdog, and the watchdog runs.
+        // The amplifier is enabled last: the output is then 0 V, the card's outputs for an expired
+        // watchdog are set, and the watchdog runs.
         let enabled = card
             .watchdog_clear()
             .and_then(|()| card.write_voltage(0.0))
@@ -177,8 +179,9 @@ impl Panel {
         Ok(())
     }
 
-    /// Reads one sample. The sample's flags show whether the watchdog has expired; if the library
-    /// gives no counts in that state, the counts are those of the previous sample.
+    /// Reads one sample. Its status shows whether the watchdog is known to have expired. If the
+    /// read fails or gives a number that is not finite in that state, the sample repeats all
+    /// previous readings.
     pub(super) fn sample(&mut self) -> Result<Measurement, NoSample> {
         let Some(card) = &self.card else { return Err(NoSample::Gone) };
         let asked_ns = self.clock.now_ns();
@@ -190,7 +193,7 @@ impl Panel {
         }
         let asked_ns = self.clock.now_ns();
         match card.read() {
-            // The watches cannot judge a velocity or a current that is not a finite number.
+            // The watches cannot evaluate a velocity or a current that is not a finite number.
             Ok(channels) if channels.are_numbers() => self.store(&channels),
             _ if self.amplifier == AmplifierState::Armed && card.watchdog_is_expired() => {
                 self.amplifier = AmplifierState::Tripped;
@@ -210,7 +213,8 @@ impl Panel {
         Ok(self.last)
     }
 
-    /// Stores what the card's channels show, with the counts relative to [`Self::base_counts`].
+    /// Stores the readings of the card's channels, with the counts relative to
+    /// [`Self::base_counts`].
     fn store(&mut self, channels: &Channels) {
         let [theta_base, alpha_base] = *self.base_counts.get_or_insert(channels.counts);
         let [theta, alpha] = channels.counts;
@@ -254,10 +258,11 @@ impl Panel {
         }
     }
 
-    /// Switches the amplifier off: disables it, writes 0 V, then stops the watchdog. If the library
-    /// refuses because the watchdog has expired, clears the watchdog and tries once more. If the
-    /// amplifier cannot be switched off even so, starts the watchdog, waits until it has expired,
-    /// which should switch the amplifier off, and closes the card.
+    /// Switches the amplifier off: disables it, writes 0 V, then stops the watchdog. If one of the
+    /// two writes fails and the watchdog has expired, clears and starts the watchdog and makes both
+    /// writes once more. If a write still fails, starts the watchdog, waits for twice its time
+    /// limit, in which it should switch the amplifier off, and closes the card. Succeeds if no card
+    /// is open.
     pub(super) fn off(&mut self) -> Result<(), HilError> {
         self.amplifier = AmplifierState::Off;
         self.applied_mv = 0;
@@ -265,8 +270,8 @@ impl Panel {
         let mut off = switched_off(card);
         if off.is_err() && card.watchdog_is_expired() {
             // Clearing may restore the outputs' earlier values and with them drive the motor. So
-            // the watchdog is started again before any call that might not return, and both outputs
-            // are written at once.
+            // the watchdog is started again by the next call, and both outputs are written directly
+            // after it.
             let _ = card.watchdog_clear();
             let _ = card.watchdog_start(WATCHDOG_S);
             off = switched_off(card);
@@ -282,7 +287,7 @@ impl Panel {
         Err(error)
     }
 
-    /// Closes the card. The amplifier must be off.
+    /// Closes the card. It switches nothing off: [`Self::off`] has been tried before.
     pub(super) fn close(&mut self) {
         if let Some(card) = self.card.take() {
             card.close();
@@ -300,8 +305,8 @@ fn switched_off(card: &Card) -> Result<(), CallFailed> {
     disabled.and(at_zero)
 }
 
-/// Shortens a text of the card for messages and file names: at most 64 letters, digits and the
-/// signs `.`, `_`, `-`.
+/// Shortens a text of the card for messages and file names: keeps the ASCII letters, digits and the
+/// signs `.`, `_`, `-`, at most 64 of them, and drops all other characters.
 fn short(text: &str) -> String {
     const LONGEST: usize = 64;
     let is_plain = |letter: &char| letter.is_ascii_alphanumeric() || "._-".contains(*letter);

@@ -9,8 +9,8 @@ pub(super) type Work = Box<dyn FnOnce() + Send>;
 /// The one thread of this process that calls the vendor's library, once it has been started.
 static THREAD: Mutex<Option<Sender<Work>>> = Mutex::new(None);
 
-/// Has the library's thread do this work, after all work given earlier; starts the thread if it
-/// does not run. If earlier work panics, the work that waits behind it is lost.
+/// Gives this work to the library's thread, which does it after all earlier work; starts the thread
+/// if it does not run. If earlier work panics, the work that waits behind it is lost.
 ///
 /// The vendor does not publish whether several threads of a process may call the library one after
 /// the other, even once the card is closed. A session opens its card several times, so the thread
@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_work_is_done_by_one_thread_and_a_panic_does_not_end_that() {
+    fn one_thread_does_all_work_and_a_new_one_does_the_work_after_a_panic() {
         let (sender, receiver) = crossbeam_channel::unbounded();
         let send_thread_id = || {
             let sender = sender.clone();
@@ -49,7 +49,7 @@ mod tests {
         let (first, second) = (receiver.recv().unwrap(), receiver.recv().unwrap());
         assert_eq!(first, second);
         assert_ne!(first, std::thread::current().id());
-        give(Box::new(|| panic!("as planned"))).unwrap();
+        give(Box::new(|| panic!("the work panics on purpose"))).unwrap();
         // Work that is given before the thread has ended is lost with the thread.
         let next = std::iter::repeat_with(|| {
             send_thread_id();

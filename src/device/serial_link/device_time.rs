@@ -1,12 +1,13 @@
-/// Widens the device's 32-bit clock to 64 bits, us. The result is right while two samples are less
-/// than 71 minutes apart.
+/// Widens the device's 32-bit clock to 64 bits, us. The differences of times are right while
+/// consecutive samples are less than 71 minutes apart.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DeviceTime {
     time_us: Option<u64>,
 }
 
 impl DeviceTime {
-    /// The time of a sample since the device's start, us, from its 32-bit clock.
+    /// The time of a sample, us, from the device's 32-bit clock. The first sample keeps its 32
+    /// bits.
     pub fn unwrap_us(&mut self, raw_us: u32) -> u64 {
         let time_us = match self.time_us {
             None => u64::from(raw_us),

@@ -55,7 +55,7 @@ fn acts_turn_the_arm_and_show_in_the_next_sample() {
 }
 
 #[test]
-fn the_watchdog_trips_and_only_hello_and_arm_leave_that() {
+fn the_watchdog_trips_and_only_hello_and_arm_leave_the_tripped_state() {
     let (mut link, clock) = armed(None);
     let start = sample(&mut link, &clock);
     link.act(1000, start.device_time_us).unwrap();
@@ -93,7 +93,7 @@ fn a_trip_or_fault_that_only_the_disarm_shows_is_the_reason_why_the_next_arm_is_
 }
 
 #[test]
-fn an_amplifier_fault_that_is_over_before_the_next_sample_is_still_told() {
+fn an_amplifier_fault_that_is_over_before_the_next_sample_is_reported() {
     let fault = EmulatorFault::LapsingAmplifierFault { after_s: 0.02, lasts_s: 0.004 };
     let (mut link, clock) = armed(Some(fault));
     sample(&mut link, &clock);
@@ -163,7 +163,7 @@ fn a_garbled_reply_is_a_timeout_and_the_next_one_is_read() {
 fn a_device_that_is_not_a_qube_is_named() {
     let reason = |fault| match link(Some(fault)).0.hello() {
         Err(error) => error.to_string(),
-        Ok(identity) => panic!("{identity:?}"),
+        Ok(identity) => panic!("the hello was answered: {identity:?}"),
     };
     assert!(reason(EmulatorFault::Silent { after_s: 0.0 }).contains("no answer to 25 hellos"));
     assert!(reason(EmulatorFault::QubeAbsent { after_s: 0.0 }).contains("module id 0x0000"));
@@ -176,7 +176,7 @@ fn a_device_that_is_not_a_qube_is_named() {
 }
 
 #[test]
-fn faults_of_the_qube_switch_the_motor_off_and_are_told() {
+fn faults_of_the_qube_switch_the_motor_off_and_are_reported() {
     for (fault, clears) in [
         (EmulatorFault::AmplifierFault { after_s: 0.02 }, false),
         (EmulatorFault::StallError { after_s: 0.02 }, true),
@@ -316,7 +316,8 @@ fn an_emergency_stop_is_told_and_latched_until_a_new_link_finds_it_closed() {
     link.hello().unwrap();
     let refused = link.arm().unwrap_err();
     assert!(refused.to_string().contains("emergency-stop switch is or was open"), "{refused}");
-    // This link has never seen the switch closed, so that it was not opened under its eyes.
+    // This link has never seen the switch closed, so it does not count the switch as opened since
+    // the first hello.
     link.hello().unwrap();
     assert!(sample(&mut link, &clock).status.emergency_stop);
     clock.sleep_until(2200 * MS);
@@ -403,7 +404,7 @@ fn a_qube_that_was_switched_off_and_on_needs_a_new_hello() {
 
 #[test]
 fn no_hello_clears_an_emergency_stop_that_was_opened_since_the_first() {
-    // Pressed for 2 s with the motor off, and seen by nobody.
+    // The switch is pressed for 2 s with the motor off, and no sample shows it.
     let (mut link, clock) = link(Some(EmulatorFault::EmergencyStop { after_s: 0.5 }));
     link.hello().unwrap();
     sample(&mut link, &clock);
@@ -451,7 +452,7 @@ impl Transport for SilentWire {
 
 #[test]
 fn no_hello_clears_an_emergency_stop_that_was_used_while_the_link_was_silent() {
-    // Pressed from 0.1 to 2.1 s.
+    // The switch is pressed from 0.1 to 2.1 s.
     let fault = Some(EmulatorFault::EmergencyStop { after_s: 0.1 });
     let settings = EmulatorSettings { fault, seed: 7, ..EmulatorSettings::default() };
     let clock = VirtualClock::default();

@@ -46,9 +46,9 @@ impl MethodSettings {
 impl Experiment {
     /// Scores a method's recommendation at each budget that allows one; each result has the index
     /// of its budget. A budget that allows no further candidate or recording repeats the result of
-    /// the budget before. Where the recordings identify no Qube, the distribution `robust` takes
-    /// the place of a recommendation, and the result has the reason ([`PolicyResult::fallback`]). A
-    /// read-only run ends at the first result that is not on disk.
+    /// the budget before. Where the method has no recommendation, as when the recordings identify
+    /// no Qube, the distribution `robust` takes its place, and the result has the reason
+    /// ([`PolicyResult::fallback`]). A read-only run ends at the first result that is not on disk.
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.
@@ -73,7 +73,7 @@ impl Experiment {
                 on_event(ExperimentEvent::NotScored { budgets, made });
             }
         };
-        // Budgets rise, so those that allow no recommendation come first.
+        // Budgets rise, so the budgets that allow no recommendation come first.
         let too_small = methods
             .budgets
             .iter()
@@ -159,7 +159,7 @@ impl Experiment {
         if plants.len() > 1 {
             let rows = pooled
                 .into_iter()
-                .map(|(which, policies)| row(ALL_PLANTS, methods, which, policies));
+                .map(|(at_budget, policies)| row(ALL_PLANTS, methods, at_budget, policies));
             results.extend(rows);
         }
         Ok(results)
@@ -248,7 +248,7 @@ mod tests {
     use crate::telemetry::{Ending, Fault, RolloutHeader};
 
     #[test]
-    fn a_method_knows_the_first_budget_of_its_recommendations() {
+    fn the_first_budget_of_a_method_allows_its_first_recommendation() {
         let root = tempfile::tempdir().unwrap();
         for method in Method::all() {
             let experiment = experiment(&root.path().join(method.name()), vec![method]);
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_repetition_without_a_recommendation_says_why_the_policy_is_robusts() {
+    fn a_repetition_without_a_recommendation_gives_the_reason_for_its_fallback() {
         let root = tempfile::tempdir().unwrap();
         let experiment = experiment(root.path(), vec![Method::Posterior]);
         let settings = experiment.settings().methods.as_ref().unwrap();

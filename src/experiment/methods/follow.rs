@@ -12,11 +12,11 @@ use super::{Method, MethodSettings, RepetitionSeeds};
 use crate::experiment::{Experiment, ExperimentError, ExperimentEvent, Made, Plant};
 use crate::session::{SeedFor, derived_seed};
 
-/// A repetition of a method, as far as it was followed.
+/// A repetition of a method, with its results so far.
 pub(in crate::experiment) struct Followed {
     /// Repetition with its recommendations.
     pub repetition: Repetition,
-    /// Whether this process made one of its scores; [`Made::Earlier`] without any.
+    /// Time of the last score; [`Made::Earlier`] without any.
     pub made: Made,
 }
 

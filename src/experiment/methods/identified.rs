@@ -51,7 +51,7 @@ enum Usable {
 /// The width of the training distribution around an identified Qube.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Width {
-    /// None: every simulation is the identified Qube.
+    /// No width: every simulation is the identified Qube.
     Exact,
     /// The settings' spread, a fraction of each value.
     Spread,
@@ -63,8 +63,8 @@ pub(super) enum Width {
 /// The origin of a run's recordings after the first recording, which is always an excitation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Further {
-    /// Further excitations: each is expected to tell most about the Qube after the recordings so
-    /// far, or is a chirp where these identify no Qube.
+    /// Further excitations: each has the largest expected information after the recordings so far,
+    /// or is a chirp where these identify no Qube.
     Excitations,
     /// Rollouts of policies, each trained by the recommendation after the recordings so far, or in
     /// the distribution `robust` where these identify no Qube.
@@ -112,7 +112,8 @@ impl<'a> FromRecordings<'a> {
         Ok(excitation(number, profile.as_ref(), plant))
     }
 
-    /// The bytes of the policy for the recording with this number, which is no excitation.
+    /// Trains the policy that makes the recording with this number, in place of an excitation, and
+    /// returns its bytes.
     fn policy(&self, number: u32) -> Result<Vec<u8>, ExperimentError> {
         let recommendation = match self.recommended(number)? {
             Recommended::Found(recommendation) => *recommendation,
@@ -186,8 +187,8 @@ impl<'a> FromRecordings<'a> {
         Ok(Fit::Found(toml::to_string_pretty(&profile)?))
     }
 
-    /// Writes down which recordings the fit to the first `recordings` recordings leaves out, and
-    /// reports those that no fit before it left out.
+    /// Writes a file with the recordings that the fit to the first `recordings` recordings leaves
+    /// out, and reports each recording once, when the first fit leaves it out.
     fn name_left_out(&self, recordings: u32, left_out: &[String]) -> Result<(), ExperimentError> {
         if left_out.is_empty() {
             return Ok(());
@@ -208,7 +209,7 @@ impl<'a> FromRecordings<'a> {
     /// The fit to the first `recordings` recordings. The fit is stored on disk, because it takes
     /// longer than a training.
     fn stored_fit(&self, recordings: u32) -> Result<OnDisk<Fit>, ExperimentError> {
-        let named = |what: &str| self.run.folder.join(format!("{what}-{recordings}"));
+        let named = |kind: &str| self.run.folder.join(format!("{kind}-{recordings}"));
         let (found, refused) =
             (named("identified").with_extension("toml"), named("refused").with_extension("txt"));
         if !MachineDisk.exists(&found) && !MachineDisk.exists(&refused) {
@@ -319,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn void_recordings_and_those_that_say_too_little_are_left_out_and_named() {
+    fn void_and_short_recordings_are_left_out_and_named() {
         let void = Ending::Fault(Fault::EncoderFrozen);
         let recorded: [Motion; 3] = [
             (swings, Ending::Completed, 100),
@@ -339,10 +340,12 @@ mod tests {
             let written = read(&method.run.folder.join("left-out-3.txt")).unwrap();
             assert_eq!(written.lines().collect::<Vec<_>>(), left_out);
         });
-        assert_eq!(reported.len(), 2, "each once: {reported:?}");
+        assert_eq!(reported.len(), 2, "each recording is reported once: {reported:?}");
         let only: [Motion; 1] = [(swings, void, 300)];
         of_recordings(&only, |method| {
-            let Fit::Refused(reason) = method.fit(1).unwrap() else { panic!("nothing to fit") };
+            let Fit::Refused(reason) = method.fit(1).unwrap() else {
+                panic!("a void recording gives no fit");
+            };
             assert!(reason.starts_with("rollout-0: a fault ended"), "{reason}");
         });
     }

@@ -49,7 +49,7 @@ impl Method {
         StrategyKind::ALL.into_iter().map(Self::Search).chain(others).chain(rivals)
     }
 
-    /// Whether the method takes no real rollout.
+    /// Returns whether the method takes no real rollout.
     #[must_use]
     pub fn needs_no_rollouts(self) -> bool {
         match self {
@@ -59,14 +59,14 @@ impl Method {
         }
     }
 
-    /// Whether the method searches psi, so that it needs a model with one.
+    /// Returns whether the method searches psi and therefore needs a model with a psi.
     #[must_use]
     pub fn searches_psi(self) -> bool {
         matches!(self, Self::Search(_))
     }
 
-    /// Whether the method can be compared only at fixed budgets, because it takes no real rollout
-    /// or all its policies come from one training.
+    /// Returns whether the method can be compared only at fixed budgets, because it takes no real
+    /// rollout or all its policies come from one training.
     #[must_use]
     pub fn needs_budgets(self) -> bool {
         self.needs_no_rollouts() || self == Self::StrategyOptimisation

@@ -1,11 +1,12 @@
 //! Comparison of methods: methods × repetitions. The result is a table of the real rollouts that
 //! each method needs until a recommendation succeeds.
 //!
-//! A [`Method`] makes policies from real rollouts: it searches for psi, or trains around the Qube
-//! that recordings identify, or follows a method from the literature (`rivals`). After each
-//! candidate or recording the method has a recommendation: its result if it were stopped there.
-//! Policies that are trained by a recommendation score it. The first recommendation that succeeds
-//! ends the run; the rollouts for the scores are not counted.
+//! A [`Method`] makes policies: it searches for psi, or trains around the Qube that recordings
+//! identify, or follows a method from the literature (`rivals`), or trains in the distribution
+//! `robust` without any real rollout. After each candidate or recording the method has a
+//! recommendation: its result if it were stopped there. Policies that are trained by a
+//! recommendation score it. The first recommendation that succeeds ends the run; the rollouts for
+//! the scores are not counted.
 //!
 //! With budgets in the settings, recommendations are scored after fixed numbers of real rollouts
 //! instead, on every plant, and a success ends nothing (`budgets`).

@@ -59,7 +59,7 @@ impl<'a> MethodRecordings<'a> {
     /// policy file: the policy or the excitation that chooses the voltages.
     ///
     /// # Errors
-    /// The work ends early.
+    /// The work ends early, or an existing recording cannot be read.
     pub fn make(&self, number: u32, kind: Recorded, policy: &[u8]) -> Result<(), ExperimentError> {
         let (run, experiment) = (self.run, self.run.experiment);
         let settings = &run.recipe.settings;
@@ -100,9 +100,9 @@ impl<'a> MethodRecordings<'a> {
         Ok(())
     }
 
-    /// The file of a recording's attempt that has a result; `None` if all attempts are void. A
-    /// void attempt, of an excitation too, was ended by a fault or lacks ticks, so that nothing is
-    /// learnt from it.
+    /// The file of a recording's attempt that has a result; `None` if all attempts are void, or an
+    /// attempt is due. An attempt, also of an excitation, is void if a fault ended it or ticks are
+    /// missing; no method learns from it.
     ///
     /// # Errors
     /// A recording cannot be read.

@@ -1,6 +1,6 @@
 use super::Method;
 
-/// One repetition of a method, as far as it has come.
+/// One repetition of a method, with its recommendations so far.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Repetition {
     /// Method of the repetition.
@@ -10,7 +10,7 @@ pub struct Repetition {
     /// Recommendations with their scores, in order. A recommendation that equals an earlier one is
     /// left out.
     pub recommendations: Vec<RecommendationResult>,
-    /// Whether a recommendation has succeeded or none is left.
+    /// True if a recommendation has succeeded or none is left.
     pub is_over: bool,
     /// Largest number of real rollouts that the repetition may take.
     pub budget: u32,
@@ -21,9 +21,9 @@ pub struct Repetition {
 pub struct RecommendationResult {
     /// Number of real rollouts before the recommendation; a recording counts as one.
     pub real_rollouts: u32,
-    /// Outcome of scoring it.
+    /// Outcome of its scoring.
     pub outcome: RecommendationOutcome,
-    /// Whether the recommendation succeeds.
+    /// True if the recommendation succeeds.
     pub succeeds: bool,
 }
 
@@ -64,7 +64,7 @@ impl Repetition {
         self.recommendations.iter().find(|it| it.succeeds).map(|it| it.real_rollouts)
     }
 
-    /// Name such as `bayrn 3`.
+    /// Name of the repetition, such as `bayrn 3`.
     #[must_use]
     pub fn name(&self) -> String {
         name(self.method, self.number)

@@ -9,7 +9,7 @@ use crate::experiment::{Experiment, ExperimentError};
 /// The results of a comparison so far, computed from sessions and recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MethodResults {
-    /// Recipe whose psi is searched.
+    /// Name of the comparison's recipe, whose psi the searches vary.
     pub recipe: String,
     /// Name of the plant.
     pub plant: String,
@@ -23,7 +23,7 @@ pub struct MethodResult {
     /// Method of the comparison.
     pub method: Method,
     /// Repetitions in order, up to the first that is not over. All finished repetitions together
-    /// would overrepresent those that succeed early.
+    /// would overrepresent repetitions that succeed early.
     pub repetitions: Vec<Repetition>,
 }
 
@@ -34,7 +34,7 @@ impl MethodResult {
         self.rollouts_needed().len()
     }
 
-    /// The 95 % interval of the share of successful repetitions, by Wilson.
+    /// The 95 % interval of the share of successful repetitions, by Wilson's formula.
     #[must_use]
     pub fn reached_interval(&self) -> Interval {
         wilson_interval(self.reached(), self.repetitions.len())
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_climbs_where_recommendations_succeed_and_ends_with_the_budget() {
+    fn a_curve_rises_where_recommendations_succeed_and_ends_with_the_budget() {
         let corners = result(&[Some(40), None, Some(10), Some(20)]).corners();
         assert_eq!(corners.first(), Some(&(1.0, 0.0)));
         assert!(corners.contains(&(10.0, 0.25)) && corners.contains(&(20.0, 0.25)));

@@ -56,23 +56,24 @@ pub(super) trait Recommendations {
     fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError>;
 }
 
-/// Whether a run makes the results that are missing on disk.
+/// The right of a run to make the results that are missing on disk.
 #[derive(Clone, Copy)]
 pub(in crate::experiment) enum Access<'a> {
-    /// Missing results are made, and the receiver gets an event for each.
+    /// Missing results are made, and the receiver gets the events of the run.
     Work(&'a OnEvent<'a>),
     /// The run ends at the first missing result.
     ReadOnly,
 }
 
 impl Access<'_> {
-    /// Whether missing results are made.
+    /// Returns whether missing results are made.
     pub fn works(self) -> bool {
         matches!(self, Self::Work(_))
     }
 }
 
-/// A result of a run, which a read-only run finds on disk and any other makes.
+/// A result of a run. A read-only run only looks for it on disk; any other run makes it if it is
+/// missing.
 pub(super) enum OnDisk<T> {
     /// The result is on disk.
     Found(T),
@@ -109,7 +110,7 @@ pub(super) fn trained_and_run(
 pub(super) struct MethodRun<'a> {
     /// Experiment of the run.
     pub experiment: &'a Experiment,
-    /// Name for messages.
+    /// Name for messages, sessions and profiles.
     pub name: String,
     /// Recipe of the comparison: its psi is searched, or a method takes its settings for recipes of
     /// its own.
@@ -120,7 +121,7 @@ pub(super) struct MethodRun<'a> {
     pub plant: Plant,
     /// Folder of the repetition.
     pub folder: PathBuf,
-    /// Whether missing results are made.
+    /// Right to make missing results.
     pub access: Access<'a>,
 }
 

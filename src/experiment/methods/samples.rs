@@ -1,4 +1,5 @@
-//! An experiment on the emulated `lab` with recordings of known motions, for tests of methods.
+//! An experiment on a nominal emulated Qube that is called `lab`, with recordings of known motions,
+//! for tests of methods.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,7 +15,7 @@ use crate::simulation::Model;
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Phase, RolloutHeader, RolloutOutcome, TickRecord};
 
-/// A comparison of these methods at fixed budgets on `lab`, in a new folder.
+/// A comparison of these methods at fixed budgets on the nominal Qube, in a new folder.
 pub fn experiment(root: &Path, methods: Vec<Method>) -> Experiment {
     let plant = Plant { name: "lab".into(), emulated: Default::default(), vary: 0.0 };
     experiment_on(root, methods, vec![plant])

@@ -5,8 +5,8 @@ use crate::experiment::{ExperimentError, Made, Plant, RolloutResult};
 use crate::scoring::{Behaviour, criterion};
 
 impl RecommendationScore {
-    /// Whether the recommendation succeeds over `rollouts` rollouts; `None` while the remaining
-    /// rollouts can change the decision.
+    /// Returns whether the recommendation succeeds over `rollouts` rollouts; `None` while the
+    /// remaining rollouts can change the decision.
     fn decided(self, rollouts: u32) -> Option<bool> {
         let needed = criterion::needed_of(rollouts);
         let failed = self.ran - self.balanced;
@@ -30,14 +30,14 @@ impl RecommendationScore {
 pub(super) struct ScoredDecision {
     /// Score at the time of the decision.
     pub score: RecommendationScore,
-    /// Whether the recommendation succeeds.
+    /// True if the recommendation succeeds.
     pub succeeds: bool,
     /// Time of the last training or rollout for the score.
     pub made: Made,
 }
 
 /// Scores a recommendation by up to `policies` policies with `rollouts` rollouts each, and stops
-/// after the policy with which the decision can no longer change.
+/// after the policy that settles the decision.
 ///
 /// # Errors
 /// The work ends early, or a file cannot be read.
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn nine_of_ten_succeed_and_no_more_is_run_than_needed() {
+    fn success_needs_nine_of_ten_and_is_decided_as_early_as_possible() {
         assert_eq!(decided(9, 10, 10), Some(true));
         assert_eq!(decided(9, 9, 10), Some(true));
         assert_eq!(decided(8, 9, 10), None);
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn when_all_rollouts_are_run_it_is_decided() {
+    fn the_decision_is_made_once_all_rollouts_have_run() {
         for rollouts in 1..60 {
             for balanced in 0..=rollouts {
                 let succeeds = f64::from(balanced) / f64::from(rollouts) > 0.9 - 1e-9;

@@ -6,8 +6,8 @@ use crate::search::{Observation, Strategy, StrategyKind};
 use crate::session::{SeedFor, Session, SessionEvent, SessionSettings, derived_seed};
 
 /// The recommendations of a search: after each candidate, the point that the strategy recommends.
-/// The session evaluates a candidate only when the recommendation after it is asked for, so nothing
-/// is searched after a success.
+/// The session evaluates a candidate only when a caller requests the recommendation after it, so
+/// the search ends at a success.
 pub(super) struct FromSearch<'a> {
     run: &'a MethodRun<'a>,
     settings: SessionSettings,

@@ -29,8 +29,8 @@ pub struct MethodSettings {
     /// kept.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub trainings: u32,
-    /// Whether a repetition has the same seed on all plants. In older files, which lack this entry,
-    /// it has.
+    /// Seeds of a repetition on several plants. A file without this entry means the same seed on
+    /// all plants.
     #[serde(default)]
     pub seeds: RepetitionSeeds,
 }
@@ -56,7 +56,7 @@ fn is_one(count: &u32) -> bool {
 }
 
 impl MethodSettings {
-    /// Whether methods are compared at fixed budgets instead of up to their first success.
+    /// Returns whether methods are compared at fixed budgets instead of up to their first success.
     #[must_use]
     pub fn has_budgets(&self) -> bool {
         !self.budgets.is_empty()

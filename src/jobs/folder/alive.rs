@@ -2,8 +2,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::{ClaimEnding, Heartbeat};
 
-/// A living worker with its claim, shared by the thread that works and the thread that writes the
-/// beats. `None` once the worker has ended.
+/// A worker's files, shared by the thread that works and the thread that writes the beats. It holds
+/// `None` once the worker has ended.
 pub(super) struct Alive(Mutex<Option<AliveFiles>>);
 
 /// The files that a worker extends at each beat.
@@ -22,7 +22,7 @@ impl Alive {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Keeps a claim alive, too.
+    /// Adds a claim, whose file then gets the beats, too.
     pub(super) fn hold(&self, claim: Heartbeat) {
         if let Some(files) = self.files().as_mut() {
             files.claim = Some(claim);

@@ -17,10 +17,10 @@ pub struct Coordinator {
 
 impl JobFolder {
     /// Takes the folder for one coordinator, whose terms hold from then on. If the last coordinator
-    /// has written no ending and ran on another computer, before this computer's last start or in
-    /// another PID namespace, the function waits until that coordinator's heartbeat file either
-    /// grows, which is an error, or counts as stale by the written terms and by the terms of this
-    /// process.
+    /// has written no ending, and its process is unknown or ran on another computer, before this
+    /// computer's last start or in another PID namespace, the function waits until that
+    /// coordinator's heartbeat file either grows, which is an error, or counts as stale by the
+    /// written terms and by the terms of this process.
     ///
     /// # Errors
     /// Another coordinator lives, `stop` was set during the wait, or a file operation fails.
@@ -72,8 +72,8 @@ impl JobFolder {
         }
     }
 
-    /// Checks that no other coordinator has taken the folder over from the one with this number.
-    /// That happens to a coordinator that was suspended for so long that it counted as dead.
+    /// Checks that no other coordinator has taken the folder over from the coordinator with this
+    /// number. A coordinator that was suspended for too long counts as dead and loses its folder.
     ///
     /// # Errors
     /// Another coordinator has taken the folder over ([`JobFolderError::TakenOver`]), or a file

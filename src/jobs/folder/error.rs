@@ -35,14 +35,14 @@ pub enum JobFolderError {
         path: PathBuf,
         /// Version of this program.
         here: String,
-        /// Version that the folder asks for.
+        /// Version that the folder requires.
         there: String,
     },
-    /// The processor lacks fused multiply-add (FMA), so that its policies would differ.
+    /// The program would train without fused multiply-add (FMA), and its policies would differ.
     #[error(
         "the program would train on {host} without fused multiply-add (FMA), because its processor has \
-         none or because a plainer instruction set was asked for, so that its policies would differ from those of other \
-         computers: start no such worker"
+         none or because a plainer instruction set was requested, so that its policies would differ from the policies \
+         of other computers: start no such worker"
     )]
     NoFma {
         /// Name of the computer.
@@ -56,7 +56,7 @@ pub enum JobFolderError {
         /// The other coordinator.
         by: String,
     },
-    /// Another process coordinates the folder since this one counted as dead.
+    /// Another process has taken the folder over, because this process counted as dead.
     #[error(
         "{by} has taken {path} over, because this program had shown no sign of life: go on there, or end that process and \
          resume here"

@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 use super::Holder;
 use crate::storage::{Disk, DiskFile, Existing};
 
-/// Largest part of a heartbeat file that is read, bytes. A file that has reached it seems to grow
-/// no more, and its process counts as dead: after 2.6 years with the default of a beat every 5 s,
-/// after 16 days with the shortest stale time, 1 s.
+/// Largest part of a heartbeat file that is read, bytes. A longer file seems not to grow, and its
+/// process counts as dead: after 2.6 years with the default of a beat every 5 s, after 16 days with
+/// the shortest stale time, 1 s.
 const MAX_BYTES: u64 = 1 << 24;
 
 /// The reason why a process has given up its heartbeat file.
@@ -71,7 +71,7 @@ impl Heartbeat {
     /// Appends the reason why the process gives up the file, and closes the file.
     ///
     /// # Errors
-    /// A file operation fails. The file then looks as if its process had died.
+    /// A file operation fails. The file may then look as if its process had died.
     pub fn end(mut self, ending: &ClaimEnding) -> io::Result<()> {
         let line = format!("\n{}\n", serde_json::to_string(ending)?);
         self.file.write_all(line.as_bytes())?;
@@ -115,13 +115,13 @@ impl HeartbeatState {
     }
 }
 
-/// Detects heartbeat files that have stopped growing. It measures time by this process's own clock,
-/// so the clocks of other computers do not matter.
+/// A detector of heartbeat files that have stopped growing. It measures time by this process's own
+/// clock, so the clocks of other computers do not matter.
 #[derive(Debug)]
 pub struct HeartbeatWatch {
     here: Holder,
     stale: Duration,
-    /// Of each file the last length, bytes, and the time at which this watch first saw that length.
+    /// Last length of each file, bytes, and the time at which this watch first saw that length.
     seen: HashMap<String, (usize, Duration)>,
 }
 
@@ -132,9 +132,9 @@ impl HeartbeatWatch {
         Self { here, stale, seen: HashMap::new() }
     }
 
-    /// Whether the process of the file `name` is dead: the process ran on this computer and has
-    /// ended, or this watch has seen the file for the stale time without growth. `now` is the time
-    /// since any fixed instant.
+    /// Returns whether the process of the file `name` is dead: the process ran on this computer and
+    /// has ended, or this watch has seen the file for the stale time without growth. `now` is the
+    /// time since any fixed instant.
     pub fn is_dead(&mut self, name: &str, state: &HeartbeatState, now: Duration) -> bool {
         if state.holder.as_ref().is_some_and(|holder| holder.has_ended_here(&self.here)) {
             return true;
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_without_a_beat_is_stale_by_the_clock_of_the_one_who_watches() {
+    fn a_file_without_a_beat_is_stale_by_the_clock_of_the_watch() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("claim");
         let mut claim = Heartbeat::create(&MachineDisk, &path, &elsewhere()).unwrap().unwrap();
@@ -195,7 +195,7 @@ mod tests {
             let state = HeartbeatState::read(&MachineDisk, &path).unwrap().unwrap();
             watch.is_dead("claim", &state, Duration::from_secs(at_s))
         };
-        // The first look tells nothing, however old the file is.
+        // The first look cannot show whether the file grows, however old the file is.
         assert!(!is_dead(1000));
         assert!(!is_dead(1059));
         assert!(is_dead(1060));
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_half_written_claim_is_that_of_an_unknown_process() {
+    fn a_half_written_claim_belongs_to_an_unknown_process() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("claim");
         for text in ["", "{\"host\":\"a", "\n\n", "...\"done\"\n"] {

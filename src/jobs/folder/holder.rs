@@ -3,7 +3,7 @@ use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
-/// The process that owns a claim: a worker or a coordinator.
+/// The process that owns a heartbeat file: a worker or a coordinator.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Holder {
     /// Name of the computer.
@@ -14,7 +14,7 @@ pub struct Holder {
     /// Process id.
     pub process: u32,
     /// Start of the process in clock ticks since boot, which distinguishes the process from a later
-    /// one with the same id; 0 if the operating system does not report it.
+    /// process with the same id; 0 if the operating system does not report it.
     pub started: u64,
     /// Boot id of the computer and PID namespace of the process.
     pub boot: String,
@@ -46,8 +46,8 @@ impl Holder {
         }
     }
 
-    /// Whether the process ran on this computer since the computer's last start, and has ended.
-    /// `here` is the identity of a process on this computer. The answer is `false` if the process
+    /// Returns whether the process ran on this computer since the computer's last start, and has
+    /// ended. `here` is the identity of a process on this computer. Returns `false` if the process
     /// belongs to another PID namespace, or if its start is unknown, because its end cannot be seen
     /// from here.
     #[must_use]
@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_process_that_has_ended_is_known_on_its_own_computer_alone() {
+    fn the_end_of_a_process_is_seen_on_its_own_computer_alone() {
         let here = Holder::this_process();
         assert!(here.started > 0 && !here.has_ended_here(&here), "{here:?}");
         let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
@@ -106,7 +106,10 @@ mod tests {
         child.kill().unwrap();
         child.wait().unwrap();
         assert!(other.has_ended_here(&here));
-        assert!(!Holder { started: 0, ..other.clone() }.has_ended_here(&here), "an unknown start");
+        assert!(
+            !Holder { started: 0, ..other.clone() }.has_ended_here(&here),
+            "the start is unknown"
+        );
         // The id of an ended process may belong to a later process.
         assert!(Holder { started: here.started + 1, ..here.clone() }.has_ended_here(&here));
         let elsewhere = Holder { host: "elsewhere".into(), ..other.clone() };

@@ -15,7 +15,7 @@ use crate::jobs::TrainingJob;
 use crate::learning::{TrainError, Trained, TrainedBytesError};
 use crate::storage::{Disk, file_exists, is_absence, is_unfinished, write_whole};
 
-/// Largest job file that is read, bytes. A job has some kB.
+/// Largest file with a job, the terms or a refusal that is read, bytes. A job has some kB.
 const MAX_JOB_BYTES: u64 = 16 << 20;
 
 /// Largest result file that is read, bytes. A policy has about 20 kB, and a learning curve about
@@ -184,13 +184,13 @@ impl JobFolder {
         Ok(self.names("jobs")?.into_iter().collect())
     }
 
-    /// Whether a job is open.
+    /// Returns whether a job is open.
     #[must_use]
     pub fn is_open(&self, name: &str) -> bool {
         self.disk.exists(&self.job(name))
     }
 
-    /// Reads an open job; `None` if the job is no longer open.
+    /// Reads an open job; `None` if the job is not open.
     ///
     /// # Errors
     /// The file is damaged, or a file operation fails.
@@ -219,14 +219,14 @@ impl JobFolder {
         Ok(self.names("results")?.into_iter().collect())
     }
 
-    /// Whether a job has a result.
+    /// Returns whether a job has a result.
     #[must_use]
     pub fn has_result(&self, name: &str) -> bool {
         self.disk.exists(&self.result(name))
     }
 
     /// Stores the result of a job. If two workers finish the same job, the later result replaces
-    /// the earlier one; both have the same policy and curve; only the worker's name and its
+    /// the earlier one. Both have the same policy and curve; only the worker's name and its
     /// instruction set may differ.
     ///
     /// # Errors
@@ -282,7 +282,7 @@ impl JobFolder {
         Ok(JobResult { by: header.by, outcome })
     }
 
-    /// Removes the file of a job that is damaged, so that the coordinator writes it again.
+    /// Removes the damaged file of a job; the coordinator then writes it again.
     ///
     /// # Errors
     /// A file operation fails.
@@ -298,8 +298,8 @@ impl JobFolder {
         self.remove(&self.result(name))
     }
 
-    /// Removes a job with its claims and its result. A worker that still carries the job out finds
-    /// that it is gone and drops its own result.
+    /// Removes a job with its claims and its result. A worker that is carrying the job out finds no
+    /// job and drops its own result.
     ///
     /// # Errors
     /// A file operation fails.
@@ -350,7 +350,8 @@ impl JobFolder {
         }
     }
 
-    /// Writes down why a worker refuses to work in this folder. A failure to write is ignored.
+    /// Writes the reason why a worker refuses to work in this folder. A failure to write is
+    /// ignored.
     pub fn write_refusal(disk: &dyn Disk, root: &Path, worker: &Holder, reason: &str) {
         let path = root.join("workers").join(worker.file_name() + ".refused");
         let _ = write_whole(disk, &path, &sealed("refusal", reason.as_bytes()));
@@ -380,7 +381,7 @@ impl JobFolder {
         unsealed("refusal", &bytes).ok().map(|text| String::from_utf8_lossy(text).into_owned())
     }
 
-    /// Tells the workers that no further work is wanted: they stop.
+    /// Tells the workers that no further work follows: they stop.
     ///
     /// # Errors
     /// A file operation fails.
@@ -396,7 +397,7 @@ impl JobFolder {
         self.remove(&self.root.join("closed"))
     }
 
-    /// Whether the coordinator wants no further work.
+    /// Returns whether the folder is closed: no further work follows.
     #[must_use]
     pub fn is_closed(&self) -> bool {
         self.disk.exists(&self.root.join("closed"))
@@ -445,7 +446,7 @@ fn json(path: &Path, value: &impl Serialize) -> Result<Vec<u8>, JobFolderError> 
 }
 
 /// The error of a file that could not be read: no file of this folder is as long as its limit, so a
-/// longer one is damaged.
+/// longer file is damaged.
 fn unread(path: &Path, source: io::Error) -> JobFolderError {
     match source.kind() {
         io::ErrorKind::FileTooLarge => {

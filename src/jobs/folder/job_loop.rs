@@ -68,7 +68,7 @@ enum Claim<'a> {
 enum JobEnd {
     /// The training is finished, with or without success.
     Finished,
-    /// The job is no longer open, its file is damaged, or the worker was stopped.
+    /// The coordinator has removed the job, its file is damaged, or the worker was stopped.
     NotFinished,
     /// A file operation has failed. The claim was given back and counts as no failure of the job.
     Unread(JobFolderError),
@@ -77,11 +77,12 @@ enum JobEnd {
 /// The outcome of one look at the folder.
 #[derive(Default)]
 struct Pass {
-    /// Whether the worker has claimed a job.
+    /// True if the worker has claimed a job. A claim that it gave back, because it could not read
+    /// the job, does not count.
     has_claimed: bool,
-    /// Whether the worker has finished a job, with or without success.
+    /// True if the worker has finished a job, with or without success.
     has_finished: bool,
-    /// Whether other workers carry jobs out.
+    /// True if other workers carry jobs out.
     others_work: bool,
     /// File operation that failed and ended the look.
     failure: Option<JobFolderError>,
@@ -125,7 +126,7 @@ impl<'a> JobLoop<'a> {
             if pass.has_finished {
                 continue;
             }
-            // Another worker may die and leave its job, so this one waits while others work.
+            // Another worker may die and leave its job, so this worker waits while others work.
             let lingers = last_work.elapsed() < self.worker.linger;
             if !pass.others_work && !has_failed && !lingers {
                 return Ok(self.report);
@@ -268,7 +269,7 @@ impl<'a> JobLoop<'a> {
         Ok(JobEnd::NotFinished)
     }
 
-    /// Trains the policy of a claimed job and stores it.
+    /// Trains the policy of a claimed job and stores the result.
     fn train(&mut self, claimed: Claimed, training: TrainingJob) -> Result<JobEnd, JobFolderError> {
         let Claimed { job, number, claim } = claimed;
         self.alive.hold(claim);
@@ -307,8 +308,8 @@ impl<'a> JobLoop<'a> {
     ) -> Result<(), JobFolderError> {
         let folder = &self.worker.folder;
         for attempt in 1.. {
-            // While the file server is away the job file may only seem to be gone, so its absence
-            // is read and not tested for.
+            // While the file server is away, a test for existence would report a missing file, but
+            // a reading fails with another error.
             if matches!(folder.read_job(job), Ok(None)) {
                 return Ok(());
             }

@@ -2,13 +2,13 @@
 //!
 //! | file | meaning |
 //! | --- | --- |
-//! | `folder.json` | program version, and the times by which a process counts as dead |
+//! | `folder.json` | program version, the times by which a process counts as dead, number of tries |
 //! | `jobs/FINGERPRINT` | an open job |
 //! | `claims/FINGERPRINT.N` | try N of the job, from 0: exclusive, grows while its worker lives |
 //! | `results/FINGERPRINT` | policy and learning curve, or the reason of the failure |
-//! | `workers/NAME` | a worker: grows while it lives; in `workers/NAME.refused` why it refused |
+//! | `workers/NAME` | a worker: grows while it lives; `NAME.refused` has the reason of a refusal |
 //! | `coordinators/N` | coordinator N of the folder, from 0: grows while it lives |
-//! | `closed` | the coordinator wants no further work |
+//! | `closed` | no further work follows |
 //! | `logs/*` | the output of starts and workers, where this program starts the workers |
 //!
 //! A file that grows gets one byte at each beat of its process. All other files but the logs are

@@ -48,7 +48,7 @@ impl Terms {
         Self { format: FORMAT, program: program(), beat_ms, stale_ms, tries }
     }
 
-    /// Whether processes of this program can work under these terms.
+    /// Returns whether processes of this program can work under these terms.
     #[must_use]
     pub fn are_of_this_program(&self) -> bool {
         self.program == program() && self.format == FORMAT

@@ -3,15 +3,16 @@ use std::time::Duration;
 use super::error::JobFolderError;
 use super::{ClaimEnding, ClaimName, HeartbeatState, HeartbeatWatch, JobFolder};
 
-/// The tries of a job so far, and how they ended.
+/// The tries of a job so far, and their endings.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tries {
     /// Number of tries.
     pub begun: u32,
-    /// Whether the last try is under way: it has no ending, and its worker is not known to be dead.
+    /// True if the last try is under way: it has no ending, and its worker is not known to be dead.
     pub is_under_way: bool,
-    /// One text for each failed try: the worker, and how the try ended. A try whose worker vanished
-    /// counts as failed; a try that was stopped on request, or could not read the job, does not.
+    /// One text for each failed try: the worker, and the ending of the try. A try whose worker
+    /// vanished, or whose result was damaged, counts as failed; a try that was stopped on request,
+    /// or could not read the job, does not.
     pub failures: Vec<String>,
 }
 

@@ -8,8 +8,8 @@ use super::{Holder, JobFolder};
 use crate::elementary::Level;
 use crate::learning::TrainError;
 
-/// The number of a worker among those that share a folder. It makes each worker begin at another
-/// place in the list of jobs, so that they seldom try to claim the same one.
+/// The number of a worker among the workers of a folder. It makes each worker begin at another
+/// place in the list of jobs, so that they seldom try to claim the same job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot {
     /// Number of the worker, below `count`.
@@ -18,7 +18,7 @@ pub struct Slot {
     pub count: u32,
 }
 
-/// The error for a text that is no worker's number with the number of workers.
+/// The error for a text that does not give a worker's number and the number of workers.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 #[error("give a worker's number and the number of workers, as 3/16")]
 pub struct NotASlot;
@@ -80,7 +80,7 @@ pub struct WorkReport {
     pub failed: u32,
 }
 
-/// Carries out the jobs of a folder on one core.
+/// A worker that carries out the jobs of a folder on one core.
 #[derive(Debug)]
 pub struct Worker {
     pub(super) folder: JobFolder,
@@ -93,8 +93,8 @@ impl Worker {
     /// A worker that ends after `linger` without work for it or any other worker.
     ///
     /// # Errors
-    /// The processor has no fused multiply-add, so that its policies would differ from those of
-    /// other computers.
+    /// The program would train without fused multiply-add, and its policies would differ from the
+    /// policies of other computers.
     pub fn new(
         folder: JobFolder,
         holder: Holder,

@@ -6,7 +6,7 @@ use super::error::JobFolderError;
 use super::job_loop::{JobLoop, POLL_INTERVAL};
 use super::{ClaimEnding, Heartbeat, WorkReport, Worker, WorkerEvent};
 
-/// Ends the heartbeat thread when the work ends, also when it panics.
+/// A guard that ends the heartbeat thread when the work ends or panics.
 struct HeartbeatEnd<'a>(&'a Alive);
 
 impl Drop for HeartbeatEnd<'_> {
@@ -20,8 +20,9 @@ impl Worker {
     /// `linger` has passed without work for this worker or any other.
     ///
     /// # Errors
-    /// File operations fail for a minute, or for the stale time if that is shorter. The results of
-    /// finished jobs are in the folder.
+    /// The worker cannot register in the folder, or file operations fail for a minute, or for the
+    /// stale time if that is shorter. The results of jobs that were finished before are in the
+    /// folder.
     pub fn run(
         &self,
         stop: &AtomicBool,
@@ -30,7 +31,7 @@ impl Worker {
         let alive = Alive::new(self.folder.register(&self.holder)?);
         let halt = AtomicBool::new(stop.load(Ordering::Relaxed));
         std::thread::scope(|scope| {
-            let heart = scope.spawn(|| self.beat(&alive, stop, &halt));
+            let heartbeat_thread = scope.spawn(|| self.beat(&alive, stop, &halt));
             let _end = HeartbeatEnd(&alive);
             let outcome = JobLoop::new(self, &alive, &halt, on_event).run();
             let ended = alive.files().take();
@@ -42,7 +43,7 @@ impl Worker {
                 };
                 let _ = worker.end(&ending);
             }
-            heart.thread().unpark();
+            heartbeat_thread.thread().unpark();
             outcome
         })
     }

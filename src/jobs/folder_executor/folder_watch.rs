@@ -13,7 +13,7 @@ use crate::jobs::{JobError, JobFolderError};
 const SHORTEST_WAIT: Duration = Duration::from_millis(10);
 
 /// The work of the thread `jobs`, which lasts until the executor ends: keeps the heartbeat and the
-/// folder's terms, announces results, gives up jobs, and tends the workers.
+/// folder's terms, announces results, gives up jobs, and starts missing workers.
 pub(super) struct FolderWatch<'a> {
     wanted: &'a WantedJobs,
     terms: Terms,
@@ -93,7 +93,7 @@ impl<'a> FolderWatch<'a> {
         Ok(())
     }
 
-    /// Announces the results that have come, and gives up jobs that have failed too often.
+    /// Announces the results that have arrived, and gives up jobs that have failed too often.
     fn look_for_results(&mut self) {
         let looked = self.wanted.announce_results().and_then(|found| {
             if self.claims_checked.elapsed() >= self.terms.beat() {

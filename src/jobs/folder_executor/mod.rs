@@ -1,5 +1,5 @@
-//! The executor by workers that share a folder: the callers' side ([`FolderExecutor`]), the jobs
-//! whose results the callers want ([`wanted_jobs`]), and the thread that watches the folder for the
+//! The executor whose workers share a folder: the callers' side ([`FolderExecutor`]), the jobs
+//! whose results the callers need ([`wanted_jobs`]), and the thread that watches the folder for the
 //! callers ([`folder_watch`]).
 
 mod folder_watch;
@@ -26,8 +26,8 @@ use super::worker_pool::WorkerPool;
 use super::{Executor, JobError, JobEvent, JobFolderError, TrainingJob};
 use crate::learning::TrainError;
 
-/// Longest time between two searches for results in the folder; the time between two beats, if that
-/// is shorter.
+/// Longest time between two searches for results in the folder, unless the time between two beats
+/// is shorter; also the time between two attempts at a caller's operation on the folder that fails.
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
 /// Time between two checks of a stop flag.
@@ -40,8 +40,7 @@ const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
 /// Time between two searches for jobs whose files somebody has removed.
 const LOST_JOB_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Carries out trainings by workers that share a folder with this process, on any number of
-/// computers.
+/// An executor whose workers share a folder with this process, on any number of computers.
 ///
 /// The bytes of a policy do not depend on the worker. A job is named by its fingerprint, so the
 /// successor of a coordinator that was killed finds the running trainings and the results.
@@ -68,8 +67,8 @@ impl FolderExecutor {
     /// `workers`; without a starter, somebody starts workers by hand.
     ///
     /// # Errors
-    /// The folder has another coordinator; `stop` was set before that was known; or a file
-    /// operation fails.
+    /// The folder has another coordinator; `stop` was set before it was clear whether it has one;
+    /// or a file operation or the start of the watching thread fails.
     pub fn new(
         folder: JobFolder,
         starter: Option<Box<dyn Starter>>,
@@ -92,8 +91,8 @@ impl FolderExecutor {
         Ok(Self { wanted, watch_thread: Some(watch_thread), workers, on_wait: || () })
     }
 
-    /// Sets the function that `train` calls every 10 s or more often while it waits for results. By
-    /// it a caller shows a service manager that it has not hung.
+    /// Sets the function that `train` calls every 10 s or more often while it waits for results. A
+    /// caller uses it to show a service manager that it has not hung.
     #[must_use]
     pub fn while_waiting(mut self, on_wait: fn()) -> Self {
         self.on_wait = on_wait;
@@ -128,7 +127,7 @@ impl Executor for FolderExecutor {
         let mut patient =
             PatientCaller { patience: Patience::new(FOLDER_PATIENCE), stop, on_wait: self.on_wait };
         for (index, job) in jobs.iter().enumerate() {
-            match wanted.ask(index, job, &sender, &mut patient) {
+            match wanted.request(index, job, &sender, &mut patient) {
                 Ok(name) => drop(open.insert(index, name)),
                 Err(error) => on_event(JobEvent::Finished { job: index, result: Err(error) }),
             }
@@ -164,10 +163,12 @@ impl Executor for FolderExecutor {
                     match wanted.collect(&open[&index], &jobs[index], &mut patient) {
                         Ok(Some(trained)) => (index, Ok(trained)),
                         // The result was damaged: the job is done again.
-                        Ok(None) => match wanted.ask(index, &jobs[index], &sender, &mut patient) {
-                            Ok(_) => continue,
-                            Err(error) => (index, Err(error)),
-                        },
+                        Ok(None) => {
+                            match wanted.request(index, &jobs[index], &sender, &mut patient) {
+                                Ok(_) => continue,
+                                Err(error) => (index, Err(error)),
+                            }
+                        }
                         Err(error) if error.is_stop() => break,
                         Err(error) => (index, Err(error)),
                     }
@@ -179,7 +180,7 @@ impl Executor for FolderExecutor {
                     on_event(JobEvent::Update { job: index, update: *update });
                 }
             }
-            // A job without one of these results may still be running on a worker.
+            // A job without one of these results may be running on a worker.
             let has_ended = matches!(
                 result,
                 Ok(_) | Err(JobError::Elsewhere { .. } | JobError::GivenUp { .. })

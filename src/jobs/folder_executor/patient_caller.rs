@@ -5,8 +5,8 @@ use crate::jobs::patience::Patience;
 use crate::jobs::{JobError, JobFolderError};
 use crate::learning::TrainError;
 
-/// Repeats operations on the folder for a caller that waits for results, until its patience ends or
-/// it is told to stop.
+/// A caller that waits for results. It repeats operations on the folder until its patience ends or
+/// its stop flag is set.
 pub(super) struct PatientCaller<'a> {
     pub(super) patience: Patience,
     pub(super) stop: &'a AtomicBool,

@@ -22,12 +22,12 @@ fn job() -> TrainingJob {
 /// A disk that refuses the first of each of the named operations, such as `create` in the subfolder
 /// `jobs`; the refused operation `exists` finds no file.
 #[derive(Debug)]
-struct Hiccups {
-    /// Operations that are still to be refused, each with its subfolder.
+struct FailingDisk {
+    /// Operations that the disk will refuse once, each with its subfolder.
     to_come: Mutex<Vec<(&'static str, &'static str)>>,
 }
 
-impl Hiccups {
+impl FailingDisk {
     fn new(to_come: &[(&'static str, &'static str)]) -> Arc<Self> {
         Arc::new(Self { to_come: Mutex::new(to_come.to_vec()) })
     }
@@ -46,7 +46,7 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().unwrap()
 }
 
-impl Disk for Hiccups {
+impl Disk for FailingDisk {
     fn create_folder(&self, path: &Path) -> io::Result<()> {
         MachineDisk.create_folder(path)
     }
@@ -95,7 +95,7 @@ impl Disk for Hiccups {
     }
 }
 
-/// A scheduler that has enough workers waiting, or whose workers cannot be counted any more.
+/// A scheduler that has enough workers waiting, or that has not counted its workers for too long.
 #[derive(Debug, Default)]
 struct Queue {
     is_silent: bool,
@@ -130,7 +130,10 @@ fn train(executor: &FolderExecutor) -> Result<Trained, JobError> {
 
 /// Trains a job with one worker. The coordinator and the worker see the folder through the disk of
 /// their name.
-fn trained_on(coordinator: Arc<Hiccups>, worker: Arc<Hiccups>) -> Result<Trained, JobError> {
+fn trained_on(
+    coordinator: Arc<FailingDisk>,
+    worker: Arc<FailingDisk>,
+) -> Result<Trained, JobError> {
     let directory = tempfile::tempdir().unwrap();
     let executor = executor(coordinator, directory.path(), Queue::default(), AtEnd::Withdraw);
     let of_worker = JobFolder::open(worker, directory.path()).unwrap();
@@ -153,39 +156,39 @@ fn trained_on(coordinator: Arc<Hiccups>, worker: Arc<Hiccups>) -> Result<Trained
 
 #[test]
 fn a_file_operation_of_the_coordinator_that_fails_once_fails_no_training() {
-    let disk = Hiccups::new(&[("create", "jobs"), ("read", "results"), ("names", "workers")]);
-    assert_eq!(trained_on(disk.clone(), Hiccups::new(&[])).unwrap().curve.len(), 1);
+    let disk = FailingDisk::new(&[("create", "jobs"), ("read", "results"), ("names", "workers")]);
+    assert_eq!(trained_on(disk.clone(), FailingDisk::new(&[])).unwrap().curve.len(), 1);
     assert!(disk.to_come.lock().unwrap().is_empty(), "{disk:?}");
 }
 
 #[test]
 fn a_file_operation_of_a_worker_that_fails_once_costs_no_training() {
-    let disk = Hiccups::new(&[
+    let disk = FailingDisk::new(&[
         ("names", "claims"),
         ("names", "jobs"),
         ("create", "claims"),
         ("create", "results"),
     ]);
-    assert_eq!(trained_on(Hiccups::new(&[]), disk.clone()).unwrap().curve.len(), 1);
+    assert_eq!(trained_on(FailingDisk::new(&[]), disk.clone()).unwrap().curve.len(), 1);
     assert!(disk.to_come.lock().unwrap().is_empty(), "{disk:?}");
 }
 
 #[test]
 fn a_job_that_a_worker_cannot_read_for_a_while_is_not_given_up() {
     let once_a_try = vec![("read", "jobs"); Terms::default().tries as usize];
-    let disk = Hiccups::new(&once_a_try);
-    assert_eq!(trained_on(Hiccups::new(&[]), disk.clone()).unwrap().curve.len(), 1);
+    let disk = FailingDisk::new(&once_a_try);
+    assert_eq!(trained_on(FailingDisk::new(&[]), disk.clone()).unwrap().curve.len(), 1);
     assert!(disk.to_come.lock().unwrap().is_empty(), "{disk:?}");
 }
 
 #[test]
 fn a_worker_stores_its_result_while_the_folder_seems_to_be_empty() {
-    let disk = Hiccups::new(&[("exists", "jobs")]);
-    assert_eq!(trained_on(Hiccups::new(&[]), disk).unwrap().curve.len(), 1);
+    let disk = FailingDisk::new(&[("exists", "jobs")]);
+    assert_eq!(trained_on(FailingDisk::new(&[]), disk).unwrap().curve.len(), 1);
 }
 
 #[test]
-fn workers_and_trainings_that_are_to_be_left_outlive_a_scheduler_that_falls_silent() {
+fn workers_and_trainings_that_are_to_be_left_outlive_a_scheduler_that_does_not_answer() {
     for (at_end, stay) in [(AtEnd::Withdraw, false), (AtEnd::Leave, true)] {
         let directory = tempfile::tempdir().unwrap();
         let is_cancelled = Arc::new(AtomicBool::new(false));
@@ -200,8 +203,8 @@ fn workers_and_trainings_that_are_to_be_left_outlive_a_scheduler_that_falls_sile
     }
 }
 
-/// Whether the condition holds within half a minute.
-fn comes(condition: impl Fn() -> bool) -> bool {
+/// Returns whether the condition becomes true within half a minute.
+fn becomes_true(condition: impl Fn() -> bool) -> bool {
     (0..600).any(|_| {
         std::thread::sleep(Duration::from_millis(50));
         condition()
@@ -230,8 +233,9 @@ fn a_coordinator_that_was_taken_for_dead_leaves_the_folder_to_its_successor() {
             .unwrap();
     std::thread::scope(|scope| {
         let caller = scope.spawn(|| train(&executor));
-        assert!(comes(|| folder.is_open(&job().fingerprint())));
-        // A successor on another computer has seen no beat of this one, which was asleep.
+        assert!(becomes_true(|| folder.is_open(&job().fingerprint())));
+        // A successor on another computer has seen no beat of this coordinator, which was
+        // suspended.
         let path = root.join("coordinators/1");
         let _successor = Heartbeat::create(&MachineDisk, &path, &elsewhere()).unwrap().unwrap();
         let error = caller.join().unwrap().unwrap_err();
@@ -263,7 +267,7 @@ fn a_coordinator_is_judged_by_the_terms_that_it_has_written() {
 }
 
 #[test]
-fn a_stop_is_seen_while_results_come() {
+fn a_stop_takes_effect_while_results_arrive() {
     let directory = tempfile::tempdir().unwrap();
     let disk = Arc::new(MachineDisk);
     let executor = executor(disk, directory.path(), Queue::default(), AtEnd::Leave);
@@ -283,7 +287,7 @@ fn a_damaged_job_costs_one_try() {
     let (is_late, is_over) = (AtomicBool::new(false), AtomicBool::new(false));
     std::thread::scope(|scope| {
         let caller = scope.spawn(|| executor.train_one(&job(), &is_late, &mut |_| ()));
-        assert!(comes(|| folder.is_open(&name)));
+        assert!(becomes_true(|| folder.is_open(&name)));
         std::fs::write(root.join("jobs").join(&name), "half a job").unwrap();
         let of_worker = JobFolder::open(disk, root).unwrap();
         let worker = Worker::new(of_worker, elsewhere(), None, Duration::from_secs(60)).unwrap();
@@ -312,9 +316,9 @@ fn a_damaged_folder_json_is_written_again() {
     let _executor = FolderExecutor::new(folder, None, 1, AtEnd::Withdraw, &never).unwrap();
     let file = root.join("folder.json");
     std::fs::write(&file, "{}").unwrap();
-    assert!(comes(|| JobFolder::open(Arc::new(MachineDisk), root).is_ok()));
+    assert!(becomes_true(|| JobFolder::open(Arc::new(MachineDisk), root).is_ok()));
     std::fs::remove_file(&file).unwrap();
-    assert!(comes(|| JobFolder::open(Arc::new(MachineDisk), root).is_ok()));
+    assert!(becomes_true(|| JobFolder::open(Arc::new(MachineDisk), root).is_ok()));
 }
 
 #[test]
@@ -323,13 +327,13 @@ fn a_job_whose_file_somebody_removes_is_written_again() {
     let disk = Arc::new(MachineDisk);
     let executor = executor(disk, directory.path(), Queue::default(), AtEnd::Withdraw);
     let (folder, name) = (executor.folder().clone(), job().fingerprint());
-    let comes = || comes(|| folder.is_open(&name));
+    let becomes_true = || becomes_true(|| folder.is_open(&name));
     let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
         let caller = scope.spawn(|| executor.train_one(&job(), &stop, &mut |_| ()));
-        assert!(comes());
+        assert!(becomes_true());
         std::fs::remove_file(directory.path().join("jobs").join(&name)).unwrap();
-        let is_back = comes();
+        let is_back = becomes_true();
         stop.store(true, Ordering::Relaxed);
         assert!(caller.join().unwrap().unwrap_err().is_stop());
         assert!(is_back);

@@ -14,7 +14,7 @@ use crate::jobs::worker_pool::NoWorkers;
 use crate::jobs::{JobError, JobFolderError, TrainingJob};
 use crate::learning::Trained;
 
-/// The jobs whose results the callers of an executor want. The callers' threads and the thread that
+/// The jobs whose results the callers of an executor need. The callers' threads and the thread that
 /// watches the folder share this value.
 #[derive(Debug)]
 pub(super) struct WantedJobs {
@@ -38,7 +38,7 @@ pub(super) struct State {
     failure: Option<Failure>,
 }
 
-/// The reason why no job can be done any more.
+/// The reason why no job can be carried out.
 #[derive(Clone, Debug)]
 pub(super) enum Failure {
     Folder(Arc<JobFolderError>),
@@ -46,7 +46,7 @@ pub(super) enum Failure {
 }
 
 impl Failure {
-    /// Whether a file operation has failed, which may succeed later.
+    /// Returns whether a file operation has failed, which may succeed later.
     pub(super) fn may_pass(&self) -> bool {
         match self {
             Self::Folder(error) => matches!(**error, JobFolderError::Disk { .. }),
@@ -83,7 +83,7 @@ pub(super) enum Notice {
 }
 
 impl WantedJobs {
-    /// No wanted jobs yet. `coordinator` is the number of this process among the folder's
+    /// A value without wanted jobs. `coordinator` is the number of this process among the folder's
     /// coordinators.
     pub(super) fn new(folder: JobFolder, coordinator: u32, at_end: AtEnd) -> Self {
         Self {
@@ -109,7 +109,7 @@ impl WantedJobs {
 
     /// Writes a job to the folder unless it is there, and registers the caller for its result.
     /// Returns the job's fingerprint.
-    pub(super) fn ask(
+    pub(super) fn request(
         &self,
         index: usize,
         job: &TrainingJob,
@@ -181,8 +181,8 @@ impl WantedJobs {
         }
     }
 
-    /// Removes one reader of this result from the count; returns whether no caller reads it or
-    /// waits for it any more.
+    /// Removes one reader of this result from the count; returns whether no other caller reads the
+    /// result or waits for it.
     fn release_reading(&self, state: &mut State, name: &str) -> bool {
         let left = state.reading.get_mut(name).map(|count| {
             *count = count.saturating_sub(1);
@@ -194,9 +194,9 @@ impl WantedJobs {
         left.unwrap_or(0) == 0 && !state.waiting.contains_key(name)
     }
 
-    /// Removes the files of a job whose last caller has its ending. The files of a job that has not
-    /// ended stay if workers are to outlive this process. The lock is held meanwhile, so that a
-    /// caller that asks for an equal job finds the files or puts them again.
+    /// Removes the files of a job whose last caller has received its ending. The files of a job
+    /// that has not ended stay if workers are to outlive this process. The lock is held meanwhile,
+    /// so that a caller that requests an equal job finds the files or puts them again.
     pub(super) fn release(&self, name: &str, has_ended: bool) {
         let mut state = self.lock();
         if self.release_reading(&mut state, name) && (has_ended || self.at_end == AtEnd::Withdraw) {
@@ -213,8 +213,9 @@ impl WantedJobs {
         }
     }
 
-    /// Whether another coordinator has taken the folder over, whose files are not to be touched.
-    /// The folder is looked at each time, because this process may have slept since the last look.
+    /// Returns whether another coordinator has taken the folder over; this process must then leave
+    /// the files unchanged. The function reads the folder each time, because this process may have
+    /// been suspended since the last reading.
     pub(super) fn has_lost_folder(&self) -> bool {
         matches!(
             self.folder.check_coordinator(self.coordinator),
@@ -247,7 +248,7 @@ impl WantedJobs {
         }
     }
 
-    /// Writes `folder.json` again if it is damaged or gone, and says so.
+    /// Writes `folder.json` again if it is damaged or gone, and logs a warning then.
     pub(super) fn restore_terms(&self) {
         match self.folder.restore_terms() {
             Ok(false) => {}
@@ -259,7 +260,7 @@ impl WantedJobs {
         }
     }
 
-    /// Tells callers which results have come; returns whether there were any.
+    /// Notifies callers of the results that have arrived; returns whether there were any.
     pub(super) fn announce_results(&self) -> Result<bool, JobFolderError> {
         if self.lock().waiting.is_empty() {
             return Ok(false);
@@ -300,7 +301,7 @@ impl WantedJobs {
                 continue;
             }
             let tries = Tries::read(&self.folder, &job, tries_begun, claim_watch, now)?;
-            // The result may have come while the claims were read.
+            // The result may have arrived while the claims were read.
             if tries.next_try(max_failures) != NextTry::GivenUp || self.folder.has_result(&job) {
                 continue;
             }
@@ -321,7 +322,7 @@ impl WantedJobs {
         Ok(())
     }
 
-    /// Tells all callers that no job can be done any more.
+    /// Notifies all waiting callers that no job can be carried out; later requests fail, too.
     pub(super) fn fail(&self, failure: &Failure) {
         let mut state = self.lock();
         for (index, sender) in state.waiting.drain().flat_map(|(_, callers)| callers) {

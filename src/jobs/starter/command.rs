@@ -32,7 +32,7 @@ struct Start {
     workers: u32,
     /// Number of workers that had appeared when the command began.
     appeared_before: u32,
-    /// Whether the command has failed.
+    /// True if the command has failed.
     has_failed: bool,
 }
 
@@ -77,7 +77,8 @@ pub fn quoted(text: &str) -> String {
     }
 }
 
-/// Whether a shell would take the text for several words, or for something else, without quotes.
+/// Returns whether a shell would read the text, without quotes, as several words or with another
+/// meaning.
 #[must_use]
 pub fn needs_quotes(text: &str) -> bool {
     // Letters beyond ASCII, other than blanks, have no special meaning to a shell.
@@ -88,7 +89,7 @@ pub fn needs_quotes(text: &str) -> bool {
     text.is_empty() || text.chars().any(is_special)
 }
 
-/// Whether a letter means itself to every shell.
+/// Returns whether a letter is of ASCII and has no special meaning to any shell.
 fn is_plain(letter: char) -> bool {
     letter.is_ascii_alphanumeric() || "/._-+=:,@%".contains(letter)
 }
@@ -122,7 +123,7 @@ impl Starter for CommandStarter {
             .stdout(log.try_clone().map_err(log_error)?)
             .stderr(log)
             // Ctrl-C at this program must not end the workers directly: closing the folder of jobs
-            // ends them, unless they are to work on without this program.
+            // ends them, unless they are to continue without this program.
             .process_group(0)
             .spawn()
             .map_err(StartError::Command)?;
@@ -134,7 +135,7 @@ impl Starter for CommandStarter {
     fn count_workers(&mut self, appeared: u32, alive: u32) -> Result<WorkerCount, StartError> {
         let mut note = None;
         for start in self.starts.iter_mut().filter(|start| !start.has_failed) {
-            // The workers of a command that ended with success still count: it may have handed them
+            // The workers of a command that ended with success count, too: it may have handed them
             // to a queue.
             if let Ok(Some(status)) = start.child.try_wait()
                 && !status.success()
@@ -144,7 +145,7 @@ impl Starter for CommandStarter {
             }
         }
         self.appeared = appeared;
-        // The workers that appeared after a start and before the next one are taken for workers of
+        // The workers that appeared after a start and before the next start count as workers of
         // that start. Workers of a failed start are not expected, so they do not count as appeared
         // either.
         let ends = self.starts.iter().skip(1).map(|start| start.appeared_before);
@@ -170,7 +171,7 @@ impl Starter for CommandStarter {
             std::thread::sleep(POLL_INTERVAL);
         }
         // A command that ignores the signal, or hangs, must not keep this program from its end.
-        // Even a kill may have to wait for a file server, so nobody waits for it.
+        // Even a kill may have to wait for a file server, so this program does not wait for it.
         self.starts.iter_mut().for_each(|start| start.signal(Signal::KILL));
     }
 }
@@ -237,12 +238,12 @@ mod tests {
             format!("seq 8 | parallel qube-hil work {path} --slot {{}}/8")
         );
         assert_eq!(starter("make -j8").unwrap_err(), TemplateError::StartsNoWorker);
-        let heard = Command::new("/bin/sh").arg("-c").arg(format!("printf %s {path}")).output();
-        assert_eq!(Path::new(&*String::from_utf8_lossy(&heard.unwrap().stdout)), root);
+        let printed = Command::new("/bin/sh").arg("-c").arg(format!("printf %s {path}")).output();
+        assert_eq!(Path::new(&*String::from_utf8_lossy(&printed.unwrap().stdout)), root);
     }
 
     #[test]
-    fn the_workers_of_a_start_that_failed_do_not_stand_for_those_of_the_next() {
+    fn the_workers_of_a_failed_start_do_not_count_for_the_next_start() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("jobs");
         let folder = JobFolder::create(Arc::new(MachineDisk), &root, Terms::default()).unwrap();
@@ -264,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn workers_that_lived_before_the_first_start_do_not_stand_for_those_of_that_start() {
+    fn workers_that_lived_before_the_first_start_do_not_count_for_that_start() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("jobs");
         let folder = JobFolder::create(Arc::new(MachineDisk), &root, Terms::default()).unwrap();

@@ -1,4 +1,4 @@
-//! Starts workers on other computers by a scheduler or a command.
+//! Starts workers, on this or other computers, by a scheduler or a command.
 
 mod command;
 mod slurm;
@@ -13,7 +13,7 @@ use super::folder::JobFolder;
 pub use command::{CommandStarter, TemplateError, needs_quotes, quoted};
 pub use slurm::{SlurmOptions, SlurmStarter};
 
-/// Starts workers, and counts those that run or are still to come.
+/// A way to start workers, and to count the workers that run or wait to run.
 pub trait Starter: Send + fmt::Debug {
     /// Starts a number of workers for a folder.
     ///
@@ -22,8 +22,9 @@ pub trait Starter: Send + fmt::Debug {
     fn start(&mut self, folder: &JobFolder, workers: u32) -> Result<(), StartError>;
 
     /// Counts the workers that run or wait. `appeared` is the number of workers that have
-    /// registered in the folder or refused it since the coordinator began, together with those that
-    /// lived at that time, and `alive` is the number of registered workers that live.
+    /// registered in the folder or refused it since the coordinator's first look at it, together
+    /// with the workers that lived at that time, and `alive` is the number of registered workers
+    /// that live.
     ///
     /// # Errors
     /// The workers cannot be counted at all. A scheduler that fails to answer only for the moment
@@ -34,12 +35,12 @@ pub trait Starter: Send + fmt::Debug {
     fn cancel(&mut self);
 }
 
-/// The numbers of workers that a starter knows of.
+/// The numbers of a starter's workers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct WorkerCount {
     /// Number of workers that run or wait to run; `None` while the scheduler gives no answer.
     pub expected: Option<u32>,
-    /// Number of workers that run, as far as the starter knows.
+    /// Number of workers that run, by the starter's count.
     pub running: u32,
     /// Note for the operator: the scheduler does not answer or does not start a worker, or the
     /// start command failed.

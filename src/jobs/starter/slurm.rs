@@ -34,9 +34,9 @@ pub struct SlurmOptions {
 
 /// A starter that submits workers as job arrays of Slurm.
 ///
-/// Slurm is asked only which workers wait or run; the results are files in the folder. Slurm needs
-/// no accounting for this. The arrays are named after the folder, so that a coordinator whose
-/// predecessor was killed finds the predecessor's arrays.
+/// The starter asks Slurm only for the list of workers that wait or run; the results are files in
+/// the folder. Slurm needs no accounting for this. The arrays are named after the folder, so that a
+/// coordinator whose predecessor was killed finds the predecessor's arrays.
 #[derive(Debug)]
 pub struct SlurmStarter {
     options: SlurmOptions,
@@ -73,7 +73,7 @@ impl SlurmStarter {
     /// The options of a job array of this many workers.
     fn array_options(&self, folder: &JobFolder, workers: u32) -> Vec<String> {
         let logs = folder.root().join("logs").join("%A_%a.out");
-        let asked = &self.options;
+        let given = &self.options;
         // A worker gets SIGTERM 60 s before its time is over, so that it can give its training
         // back, and Slurm may requeue it.
         let mut options = vec![
@@ -89,10 +89,10 @@ impl SlurmStarter {
             option("output", &logs.to_string_lossy()),
         ];
         for (name, value) in [
-            ("partition", &asked.partition),
-            ("account", &asked.account),
-            ("time", &asked.time),
-            ("mem", &asked.memory),
+            ("partition", &given.partition),
+            ("account", &given.account),
+            ("time", &given.time),
+            ("mem", &given.memory),
         ] {
             options.extend(value.iter().map(|value| option(name, value)));
         }
@@ -147,9 +147,10 @@ impl Starter for SlurmStarter {
         if !output.status.success() {
             let reason = first_line(&output.stderr);
             // The failure may pass, and workers may be running, so it is a note and not an error.
-            let what = if is_silence(&reason) { "Slurm does not answer" } else { "squeue fails" };
+            let problem =
+                if is_silence(&reason) { "Slurm does not answer" } else { "squeue fails" };
             return Ok(WorkerCount {
-                note: Some(format!("{what}: {reason}")),
+                note: Some(format!("{problem}: {reason}")),
                 ..WorkerCount::default()
             });
         }
@@ -178,16 +179,16 @@ fn of_queue(lines: &str) -> WorkerCount {
             _ => {}
         }
         count.expected = count.expected.map(|expected| expected + 1);
-        let is_held = ["held", "Held", "BadConstraints", "Limit", "PartitionDown", "Invalid"];
-        if is_held.iter().any(|word| reason.contains(word)) {
+        let held_words = ["held", "Held", "BadConstraints", "Limit", "PartitionDown", "Invalid"];
+        if held_words.iter().any(|word| reason.contains(word)) {
             count.note = Some(format!("Slurm does not start the worker {task}: {reason}"));
         }
     }
     count
 }
 
-/// Runs a command of Slurm and waits for its output, but no longer than `longest`; then the command
-/// is killed.
+/// Runs a command of Slurm and waits for its output for at most `longest`; then it kills the
+/// command.
 fn run_command(
     program: &str,
     options: &[String],
@@ -212,7 +213,7 @@ fn run_command(
             let _ = sender.send(child.wait_with_output());
         });
         receiver.recv_timeout(longest).unwrap_or_else(|_| {
-            // Fails if the command has just ended.
+            // The kill fails if the command has just ended.
             let _ = kill_process(process, Signal::KILL);
             Err(io::ErrorKind::TimedOut.into())
         })
@@ -227,8 +228,8 @@ fn run_command(
     })
 }
 
-/// Whether a message says that Slurm's controller does not answer, for example during its restart,
-/// or that it accepts no job for the moment.
+/// Returns whether a message says that Slurm's controller does not answer, for example during its
+/// restart, or that it accepts no job for the moment.
 fn is_silence(message: &str) -> bool {
     let words = [
         "nable to contact",
@@ -254,7 +255,7 @@ mod tests {
     use crate::storage::MachineDisk;
 
     #[test]
-    fn an_array_asks_for_what_was_asked_and_can_be_requeued() {
+    fn an_array_has_the_given_options_and_can_be_requeued() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path();
         let folder = JobFolder::create(Arc::new(MachineDisk), root, Terms::default()).unwrap();
@@ -284,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_controller_that_is_away_is_no_refusal() {
+    fn an_unreachable_controller_is_silent_and_refuses_nothing() {
         let away = "slurm_load_jobs error: Unable to contact slurm controller (connect failure)";
         assert!(is_silence(away));
         assert!(!is_silence("sbatch: error: invalid partition specified: nowhere"));

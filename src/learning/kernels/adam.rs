@@ -24,7 +24,7 @@ impl Moments {
 }
 
 /// A kernel that takes one step of Adam down a gradient, which is first scaled down to a largest
-/// norm. It returns the norm before scaling.
+/// norm. The kernel returns the norm before scaling.
 ///
 /// Unless `epsilon_beside_root` is set, epsilon is under the square root, m / sqrt(v + epsilon^2),
 /// whereas the paper adds it to the root, m / (sqrt(v) + epsilon). The two forms agree where one of
@@ -42,7 +42,7 @@ pub(in crate::learning) struct AdamStep<'a> {
     /// Epsilon; its square is added to the second moment under the root, unless
     /// `epsilon_beside_root` is set.
     pub epsilon: f32,
-    /// Whether epsilon is added to the root instead, as in the paper.
+    /// True if epsilon is added to the root, as in the paper.
     pub epsilon_beside_root: bool,
     /// Norm to which a longer gradient is scaled down.
     pub largest_norm: f32,

@@ -7,7 +7,8 @@ use super::transpose::transpose;
 use crate::elementary::{InstructionSet, VectorKernel};
 use crate::learning::network::{LOG_STD, Network, OUTPUT_BIAS, Row, WIDTH};
 
-/// Computes the gradient, by every parameter, of a head's mean loss over one minibatch.
+/// A kernel that computes the gradient, by every parameter, of a head's mean loss over one
+/// minibatch.
 pub(in crate::learning) struct Gradient<'a, H> {
     pub network: &'a Network,
     pub minibatch: &'a Minibatch,
@@ -112,8 +113,8 @@ fn through_output<I: InstructionSet>(
     }
 }
 
-/// Multiplies each loss derivative by a value of tanh with 1 - tanh^2, which gives the derivative
-/// by the argument of tanh.
+/// Multiplies each loss derivative with respect to a value of tanh by 1 - tanh^2. The product is
+/// the derivative with respect to the argument of tanh.
 #[inline(always)]
 fn through_tanh<I: InstructionSet>(values: &[f32], derivatives: &mut [f32]) {
     for (derivative, &value) in derivatives.iter_mut().zip(values) {

@@ -3,7 +3,7 @@ use super::product::{Left, product};
 use crate::elementary::{InstructionSet, VectorKernel, tanh};
 use crate::learning::network::{Inputs, Network, OUTPUT_BIAS, WIDTH};
 
-/// Computes a network's outputs for a block of samples, 64 or 16.
+/// A kernel that computes a network's outputs for a block of 64 or 16 samples.
 pub(in crate::learning) struct Forward<'a, const SAMPLES: usize> {
     pub network: &'a Network,
     pub inputs: &'a Inputs<SAMPLES>,

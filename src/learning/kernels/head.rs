@@ -124,8 +124,8 @@ pub(in crate::learning) fn gaussian_log_probability(z: f32, log_std: f32) -> f32
     -0.5 * z * z - log_std - NORMALISATION
 }
 
-/// Half the mean squared error of the value network, which has no log standard deviation: the
-/// derivative with respect to it is left as it is.
+/// Half the mean squared error of the value network. This network has no log standard deviation, so
+/// `by_log_std` is not written.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::learning) struct ValueHead;
 

@@ -1,10 +1,10 @@
 //! The arithmetic of gradient steps, of which a training with the thesis's budget takes 750 000 for
 //! each network.
 //!
-//! Activations are stored feature by feature, `[feature][64 samples]`, hidden weights as
-//! `[neuron][neuron of the layer before]`. With this layout one kernel ([`product`]) computes every
-//! product without packing, and only the first hidden layer is needed a second time sample by
-//! sample ([`transpose`]).
+//! Activations are stored feature by feature, `[feature][64 samples]`, the first layer's weights as
+//! `[input][neuron]`, the second layer's as `[neuron][neuron of the first layer]`. With this layout
+//! one kernel ([`product`]) computes every product of two matrices without packing, and only the
+//! first hidden layer is needed a second time sample by sample ([`transpose`]).
 //!
 //! Each file is plain loops over arrays of fixed size; `crate::elementary` compiles them for each
 //! instruction set. Sums run in one fixed order, so AVX-512 and AVX2 give the same bits. Processors

@@ -14,10 +14,10 @@ pub(super) enum Left<'a> {
 
 /// Computes `result[row][..] = sum over terms of left(row, term) right[term][..]`.
 ///
-/// Every product of the networks uses this kernel: rows of the right factor are vectors, entries of
-/// the left factor are broadcast, so neither factor is packed or transposed. Each entry of the
-/// result is summed in the order of the terms, so the shape of the tiles does not change the
-/// result's bits. The number of rows is a multiple of four.
+/// Every product of two matrices in the networks uses this kernel: rows of the right factor are
+/// vectors, entries of the left factor are broadcast, so neither factor is packed or transposed.
+/// Each entry of the result is summed in the order of the terms, so the shape of the tiles does not
+/// change the result's bits. The number of rows is a multiple of four.
 #[inline(always)]
 pub(super) fn product<I: InstructionSet, const COLUMNS: usize>(
     left: Left<'_>,

@@ -3,7 +3,8 @@ use crate::learning::network::{Row, WIDTH};
 /// Number of partial sums: the lanes of the widest vector.
 pub(super) const LANES: usize = 16;
 
-/// Sums a row in one fixed order: four vectors of 16 into one, then halves onto halves.
+/// Sums a row in one fixed order: adds its four vectors of 16 to one vector, then sums this vector
+/// by [`sum_lanes`].
 #[inline(always)]
 pub(super) fn sum(row: &Row) -> f32 {
     let quarters = row.as_chunks::<16>().0;
@@ -14,7 +15,7 @@ pub(super) fn sum(row: &Row) -> f32 {
     sum_lanes(&lanes)
 }
 
-/// Sums 16 lanes, halves onto halves.
+/// Sums 16 lanes: adds the upper half to the lower half until one number is left.
 #[inline(always)]
 pub(super) fn sum_lanes(lanes: &[f32; 16]) -> f32 {
     let eight: [f32; 8] = std::array::from_fn(|lane| lanes[lane] + lanes[lane + 8]);
@@ -22,7 +23,7 @@ pub(super) fn sum_lanes(lanes: &[f32; 16]) -> f32 {
     (four[0] + four[2]) + (four[1] + four[3])
 }
 
-/// Sums each row of a table, neighbours onto neighbours, all rows in parallel.
+/// Sums each row of a table by adding neighbours, all rows in parallel.
 #[inline(always)]
 pub(super) fn sum_each(table: &[[f32; LANES]; WIDTH]) -> Row {
     let mut eight = [0.0; 8 * WIDTH];

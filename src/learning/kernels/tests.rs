@@ -167,13 +167,13 @@ fn check_by_finite_differences(
 }
 
 #[test]
-fn gradients_of_the_policy_are_those_of_finite_differences_on_every_path() {
+fn gradients_of_the_policy_equal_finite_differences_on_every_path() {
     for size in [OBSERVATION_SIZE, MAX_OBSERVATION_SIZE] {
         let mut gradients = Vec::new();
         for level in available() {
             let (gradient, statistics) = gradient_at(level, size, &POLICY);
             let clipped = statistics.clip_fraction;
-            assert!((0.3..0.95).contains(&clipped), "both sides of the clip are seen");
+            assert!((0.3..0.95).contains(&clipped), "{clipped} is not on both sides of the clip");
             assert!(statistics.approximate_kl > 0.0);
             gradients.push((level, gradient));
         }
@@ -182,7 +182,7 @@ fn gradients_of_the_policy_are_those_of_finite_differences_on_every_path() {
 }
 
 #[test]
-fn gradients_of_the_value_net_are_those_of_finite_differences_on_every_path() {
+fn gradients_of_the_value_network_equal_finite_differences_on_every_path() {
     for size in [OBSERVATION_SIZE, MAX_OBSERVATION_SIZE] {
         let gradients: Vec<_> =
             available().map(|level| (level, gradient_at(level, size, &ValueHead).0)).collect();
@@ -233,7 +233,7 @@ fn adam_step<'a>(
 #[test]
 fn avx512_and_avx2_give_the_same_bits() {
     if !(Level::Avx512.is_available() && Level::Avx2.is_available()) {
-        println!("this processor does not have both: nothing was compared");
+        println!("this processor lacks AVX-512 or AVX2: nothing was compared");
         return;
     }
     for size in OBSERVATION_SIZES {
@@ -294,7 +294,7 @@ fn adam_follows_its_formulas(epsilon: f32, epsilon_beside_root: bool) {
 }
 
 #[test]
-fn forward_gives_what_the_gradient_sees() {
+fn forward_and_gradient_compute_the_same_outputs() {
     for (level, size) in available().flat_map(|level| OBSERVATION_SIZES.map(|size| (level, size))) {
         let (network, minibatch) = example(size);
         let output = dispatch_at(level, Forward { network: &network, inputs: &minibatch.inputs });
@@ -313,6 +313,10 @@ fn forward_gives_what_the_gradient_sees() {
                 gradient: &mut gradient,
             },
         );
-        assert_eq!(gradient, Network::zero(size), "{level:?}: no error, no gradient");
+        assert_eq!(
+            gradient,
+            Network::zero(size),
+            "{level:?}: a network without error has a gradient"
+        );
     }
 }

@@ -17,8 +17,8 @@ pub(super) fn transpose(
 }
 
 /// Interleaves the four quarters of an array. The loop walks the quarters side by side. With
-/// indices into the whole array it would check four of them for each entry, and whether the
-/// compiler vectorised it would depend on the code around it.
+/// indices into the whole array, the loop would check four indices for each entry, and the code
+/// around the loop would decide whether the compiler vectorises it.
 #[inline(always)]
 fn interleave_quarters(from: &[Row; WIDTH], to: &mut [Row; WIDTH]) {
     let [first, second, third, fourth] =

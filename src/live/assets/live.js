@@ -4,7 +4,7 @@
   const by = (id) => document.getElementById(id);
   const css = (name) => getComputedStyle(root).getPropertyValue(name).trim();
   const FONT = '12px system-ui, "Noto Sans", Arial, sans-serif';
-  // Seconds and points that the figures show.
+  // Longest time, s, and largest number of points that the figures show.
   const WINDOW_S = 10, MOST = 1200;
   const fixed = (value, digits, unit) => (value == null ? "–" : `${value.toFixed(digits)} ${unit}`);
 
@@ -17,7 +17,7 @@
     const facts = [["connection", root.dataset.connected === "1" ? "live" : "lost"]];
     if (status) {
       facts.push(["command", status.command || "–"]);
-      // Candidates count from 0 everywhere; the second number is how many have begun.
+      // Candidates count from 0 everywhere; the second number counts the candidates that have begun.
       const of = status.of == null ? "" : ` (${status.candidate + 1} of ${status.of})`;
       if (status.candidate != null) facts.push(["candidate", `${status.candidate}${of}`]);
       facts.push(["best so far", fixed(status.best_return, 1, "of 600")], ["time left", timeLeft(status.time_left_s)]);
@@ -56,7 +56,7 @@
     if (!rollout || !latest || latest[1] == null || latest[2] == null) return;
     const { arm_m: arm, pendulum_m: pendulum } = rollout;
     const [theta, alpha] = [latest[1], latest[2]];
-    // Everything that arm and pendulum can reach has room.
+    // The whole reach of arm and pendulum fits into the canvas.
     const size = Math.min((0.5 * width - 8) / (1.1 * Math.hypot(arm, pendulum)), (0.5 * height - 8) / (0.5 * arm + pendulum));
     const flat = ([x, y, z]) => [width / 2 + size * (y - 0.35 * x), height / 2 + size * (0.5 * x - z)];
     const line = (from, to, thick, paint) => {
@@ -152,11 +152,11 @@
     }
   };
 
-  // The stream. The browser connects again by itself.
+  // The stream of events. If it breaks, the browser connects again by itself.
   const clear = () => columns.forEach((column) => { column.length = 0; });
   const source = new EventSource("events");
   const on = (name, take) => source.addEventListener(name, (event) => { take(JSON.parse(event.data)); soon(); });
-  // Another view at this address, such as that of a resumed session, shares nothing with the last.
+  // Another view at this address, such as the view of a resumed session, shares nothing with the last.
   on("server", (it) => {
     if (server !== null && server !== it) {
       [status, rollout, end, latest, lost] = [null, null, null, null, 0];
@@ -187,7 +187,7 @@
   source.onopen = () => { root.dataset.connected = "1"; soon(); };
   source.onerror = () => { root.dataset.connected = "0"; soon(); };
 
-  // Stop: a request of its own, which waits for no figure.
+  // The Stop button sends a request of its own, which waits for no figure.
   const button = by("stop");
   const stopped = (text, isDone) => {
     by("stopped").textContent = text;

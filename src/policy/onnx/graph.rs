@@ -232,7 +232,7 @@ impl<'g, 'a> Operator<'g, 'a> {
                 break;
             }
             let Some(maker) = self.graph.maker(name) else { break };
-            // The last entry of a joined shape is that of its last part.
+            // A joined shape ends with the last entry of its last part.
             let before = match &*maker.operator {
                 "Shape" if maker.inputs == [x] && is_whole_shape(maker) => return Ok(None),
                 "Concat" => maker.inputs.last(),
@@ -245,10 +245,10 @@ impl<'g, 'a> Operator<'g, 'a> {
     }
 }
 
-/// Reason why an operator on two values that are not constant is refused.
+/// Reason why an operator is refused unless exactly one of its two inputs is constant.
 const NEEDS_CONSTANT: &str = "of inputs other than x and a constant";
 
-/// Whether a `Shape` gives all sizes of its input.
+/// Returns whether a `Shape` gives all sizes of its input.
 fn is_whole_shape(node: &Node<'_>) -> bool {
     node.integer("start", 0) == 0 && node.integer("end", i64::MAX) == i64::MAX
 }
@@ -283,8 +283,8 @@ enum Layout {
     OutputsByInputs,
 }
 
-/// Returns weights as `[outputs][inputs]`, with the number of inputs; `None` if the shape is that
-/// of no matrix.
+/// Returns weights as `[outputs][inputs]`, with the number of inputs; `None` if the constant is no
+/// matrix.
 fn matrix(shape: &[usize], values: &[f32], layout: Layout) -> Option<(Vec<f32>, usize)> {
     let &[rows, columns] = shape else { return None };
     if rows == 0 || columns == 0 || values.len() != rows.checked_mul(columns)? {
@@ -314,10 +314,10 @@ struct Assembly {
     layers: Vec<LayerWeights>,
     /// Number of inputs of the first layer; 0 before it.
     inputs: usize,
-    /// Least and largest value of each entry of the observation.
+    /// Least and largest value of each entry of the observation; empty if no entry is clipped.
     bounds: Vec<[f32; 2]>,
     activations: Vec<Activation>,
-    /// Whether an activation follows the last layer; true before the first.
+    /// True if an activation follows the last layer; true before the first.
     is_active: bool,
     after: After,
 }
@@ -402,7 +402,8 @@ impl Assembly {
     }
 
     /// Checks that a new shape after a layer keeps the number of the layer's outputs. A computed
-    /// shape that changes it is refused with the next layer, whose inputs have another number.
+    /// shape is not checked here: if it changes this number, [`Layers::network`] refuses the next
+    /// layer, which has another number of inputs.
     fn check_shape(&self, operator: &str, last: Option<i64>) -> Result<(), ImportError> {
         let outputs = self.layers.last().map_or(0, |layer| layer.bias.len());
         if last.is_some_and(|last| !keeps(operator, last, outputs)) {
@@ -455,7 +456,8 @@ fn refused(operator: &str, place: &'static str) -> ImportError {
 /// Reason why an operator that changes a shape is refused.
 const CHANGES_ENTRIES: &str = "to a shape with another number of entries in a row";
 
-/// Whether a `Reshape` or `Expand` to a shape with this last entry keeps rows of `entries` values.
+/// Returns whether a `Reshape` or `Expand` to a shape with this last entry keeps rows of `entries`
+/// values.
 fn keeps(operator: &str, last: i64, entries: usize) -> bool {
     // A Reshape computes a size of -1 and copies one of 0; an Expand keeps an axis whose size is 1.
     let is_kept = if operator == "Expand" { last == 1 } else { matches!(last, -1 | 0) };
@@ -491,7 +493,7 @@ impl After {
 }
 
 /// Folds the constants `before` the first layer into that layer, and returns the least and largest
-/// value of each entry of the observation.
+/// value of each entry of the observation; empty if no entry is clipped.
 fn fold(
     before: &[Step],
     layer: &mut LayerWeights,

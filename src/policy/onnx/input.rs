@@ -3,8 +3,9 @@
 use super::ImportError;
 use crate::policy::LayerWeights;
 
-/// Largest magnitude of the offsets that are folded into one neuron of the first layer. Single
-/// precision rounds it by 2.4e-4, which changes the voltage by about 1 mV.
+/// Largest sum of the magnitudes of weight times offset that is folded into the bias of one neuron
+/// of the first layer. Single precision rounds it by at most 2.4e-4, which changes the voltage by
+/// about 1 mV.
 const LARGEST_OFFSET: f64 = 4096.0;
 
 /// The preparation of each entry x of the input for the first layer: factor · clip(x, bounds) +
@@ -46,8 +47,7 @@ impl Input {
     /// for each entry, or one for all. Stores the constants as bounds of the original entries x.
     ///
     /// # Errors
-    /// The number of constants is wrong, or the factor of an entry is 0 or gives a bound that is
-    /// not a number.
+    /// The number of constants is wrong, the factor of an entry is 0, or a bound is not a number.
     pub fn clip(&mut self, lower: &[f32], upper: &[f32]) -> Result<(), ImportError> {
         let entries = self.factors.len();
         let pairs = spread(lower, entries)?.into_iter().zip(spread(upper, entries)?);
@@ -68,16 +68,16 @@ impl Input {
     /// first layer: W (a x + b) + c = (W a) x + (W b + c).
     ///
     /// # Errors
-    /// W a x and W b nearly cancel each other, and are so large that their difference in single
-    /// precision is too far from W (a x + b).
+    /// The magnitudes of the products in W b add up to more than 4096 for a neuron, so that single
+    /// precision could round W b by more than 2.4e-4.
     pub fn fold(&self, layer: &mut LayerWeights) -> Result<(), ImportError> {
         if self.factors.iter().all(|it| *it == 1.0) && self.offsets.iter().all(|it| *it == 0.0) {
             return Ok(());
         }
         let entries = self.factors.len();
         for row in layer.weight.chunks_exact(entries) {
-            let cancels = |(weight, offset): (&f32, &f64)| (f64::from(*weight) * offset).abs();
-            let largest: f64 = row.iter().zip(&self.offsets).map(cancels).sum();
+            let magnitude = |(weight, offset): (&f32, &f64)| (f64::from(*weight) * offset).abs();
+            let largest: f64 = row.iter().zip(&self.offsets).map(magnitude).sum();
             // A NaN is refused later, with the network.
             if largest > LARGEST_OFFSET {
                 let deviations = self.offsets.iter().fold(0.0, |most, it| it.abs().max(most));
@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bounds_are_those_of_the_input_whatever_is_done_before_them() {
+    fn bounds_after_other_operators_hold_for_the_original_input() {
         let mut input = Input::plain(2);
         input.add(&[1.0]).unwrap();
         input.multiply(&[2.0, -4.0]).unwrap();
@@ -146,7 +146,7 @@ mod tests {
             input.fold(&mut layer).map(|()| layer)
         };
         for (mean, deviation) in [(0.7, 1e-3), (0.0, 1e-8), (1.0, 0.01), (-0.7, -1e-3)] {
-            assert!(folded(mean, deviation).is_ok(), "{mean} {deviation}");
+            assert!(folded(mean, deviation).is_ok(), "mean {mean}, deviation {deviation}");
         }
         for (mean, deviation) in [(0.7, 1e-5), (0.7, -1e-5), (-1.0, 1e-8), (1e6, 1.0)] {
             let refused = folded(mean, deviation).unwrap_err();

@@ -42,8 +42,8 @@ pub enum ImportError {
     /// The graph has too many operators.
     #[error("has more than {MAX_OPERATORS} operators, more than any policy")]
     TooManyOperators,
-    /// The bytes are no ONNX model, or its graph is broken: an operator lacks an input, or no way
-    /// leads back from the output to the input.
+    /// The bytes are no ONNX model, or the graph is broken: an operator lacks an input, a shape is
+    /// not of the type `int64`, or no way leads back from the output to the input.
     #[error("is not an ONNX model, or is damaged: export it again")]
     NotOnnx,
     /// The weights are in a second file.
@@ -55,8 +55,8 @@ pub enum ImportError {
         /// Name of the tensor.
         name: String,
     },
-    /// A constant has another number of values than its shape or its place requires, or is a bound
-    /// that does not become a number.
+    /// A constant has another number of values than its shape requires, its shape or number of
+    /// values does not fit its place, or it is a bound that gives no number for the observation.
     #[error("has a constant ({name:?}) whose values do not fit its shape or its place")]
     Values {
         /// Name of the constant, or its place.
@@ -80,7 +80,7 @@ pub enum ImportError {
         /// Inputs of the first layer.
         inputs: usize,
     },
-    /// The graph does not have exactly one input and at least one output.
+    /// The graph has no input or several inputs, or has no output.
     #[error(
         "has {inputs} inputs and {outputs} outputs: a policy has one input, the observation, and its first output is the action"
     )]
@@ -104,7 +104,7 @@ pub enum ImportError {
     /// An operator is known, but not in this place, or not with these inputs or attributes.
     #[error("has the operator {operator} {place}")]
     Place {
-        /// Name of the operator, or the names of those that it may be.
+        /// Name of the operator, or the names of several operators that share the reason.
         operator: String,
         /// Reason why it is refused.
         place: &'static str,
@@ -119,11 +119,11 @@ pub enum ImportError {
         /// Entries of the observation.
         named: usize,
     },
-    /// The output is limited to a narrower range than the motor's.
+    /// The limits of the output exclude a part of the motor's range.
     #[error(
         "limits the voltage to {lower_v} V to {upper_v} V, and this program's networks have no limit below the motor's \
          {MAX_VOLTAGE_V} V of either sign: check the action scale. Without that limit the model would be another policy, \
-         which may ask for {MAX_VOLTAGE_V} V"
+         which may request {MAX_VOLTAGE_V} V"
     )]
     OutputLimits {
         /// Lower limit, V.
@@ -147,7 +147,7 @@ pub enum ImportError {
     /// The limit at which the observation is to be clipped is no positive, finite number.
     #[error("is to be clipped at {limit}: give a finite number above 0")]
     Clip {
-        /// Limit that was asked for.
+        /// Requested limit.
         limit: f32,
     },
     /// The corner of the velocity filter is no frequency of such a filter.
@@ -168,17 +168,17 @@ pub enum ImportError {
          filter and clipping"
     )]
     OwnConventions,
-    /// This program wrote the file, but graph and metadata in it are not of one network.
+    /// This program wrote the file, but its graph and its metadata describe different networks.
     #[error(
-        "was exported by this program and changed since: graph and metadata are not of one network. Remove the metadata \
-         {entry:?} and import it as a file of another program", entry = write::POLICY_ENTRY
+        "was exported by this program and then changed: graph and metadata describe different networks. Remove the \
+         metadata {entry:?} and import it as a file of another program", entry = write::POLICY_ENTRY
     )]
     Changed,
     /// The metadata that this program wrote is damaged, of a later version, or does not fit the
     /// layers of the graph.
     #[error("has the metadata of a policy, but {0}")]
     Metadata(String),
-    /// The network is outside of the limits.
+    /// The layers form no network that this program can run.
     #[error("holds a network that cannot be run: {0}")]
     Network(#[from] NetworkError),
 }
@@ -214,9 +214,9 @@ pub struct ForeignConventions {
 /// For a file of another program, `foreign` gives the conventions of that program.
 ///
 /// # Errors
-/// The bytes are no model or no policy; `foreign` is missing, does not fit the layers, or is given
-/// for a file that this program wrote; or the graph of such a file does not agree with its
-/// metadata.
+/// The bytes are no model or no policy; `foreign` is missing, has a number out of its range, does
+/// not fit the layers, or is given for a file that this program wrote; or the graph of such a file
+/// does not agree with its metadata.
 pub fn from_onnx(
     bytes: &[u8],
     foreign: Option<&ForeignConventions>,
@@ -239,7 +239,7 @@ pub fn from_onnx(
 }
 
 /// The layers of a network as an ONNX file holds them, with the observation in the order of the
-/// program that trained it.
+/// program that trained the network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layers {
     /// Weights and biases, layer by layer.
@@ -282,7 +282,8 @@ impl Layers {
     /// Converts these layers to a policy.
     ///
     /// # Errors
-    /// The conventions do not fit the layers, or the network is outside of the limits.
+    /// The conventions have a number out of its range or do not fit the layers, or the layers form
+    /// no network that this program can run.
     pub fn policy(self, conventions: &ForeignConventions) -> Result<NetworkPolicy, ImportError> {
         let ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation } =
             conventions;
@@ -315,9 +316,9 @@ impl Layers {
     /// negative scale reverses the signs of the last layer.
     ///
     /// # Errors
-    /// The observation has another length than the first layer, the output is limited below the
-    /// motor's range, one entry of the observation has two different bounds, or the network is
-    /// outside of the limits.
+    /// The observation has another length than the first layer, the limits of the output exclude a
+    /// part of the motor's range, one entry of the observation has two different bounds, or the
+    /// layers form no network that this program can run.
     pub fn network(
         self,
         layout: &ObservationLayout,

@@ -147,8 +147,8 @@ impl<'a> Graph<'a> {
 }
 
 impl<'a> Node<'a> {
-    /// Whether the operator is a `Cast` to single or double precision, which are the types 1
-    /// and 11.
+    /// Returns whether the operator is a `Cast` to single or double precision, which are the types
+    /// 1 and 11.
     pub fn is_cast_to_float(&self) -> bool {
         self.operator == "Cast" && matches!(self.integer("to", 0), 1 | 11)
     }
@@ -197,7 +197,8 @@ impl<'a> Node<'a> {
         Ok(())
     }
 
-    /// Takes the value of an operator that makes a constant; `None` for every other operator.
+    /// Takes the value of an operator that makes a constant; `None` for every other operator, and
+    /// if no attribute gives a value.
     fn constant(&mut self) -> Option<Tensor> {
         if !matches!(&*self.operator, "Constant" | "ConstantOfShape") {
             return None;
@@ -263,7 +264,7 @@ fn entries_of(sizes: &[Option<usize>]) -> Option<usize> {
     between.iter().try_fold((*last)?, |entries, size| entries.checked_mul((*size)?))
 }
 
-/// Whether this domain is that of ONNX's own operators.
+/// Returns whether this is the domain of ONNX's own operators.
 fn is_of_onnx(domain: &str) -> bool {
     matches!(domain, "" | "ai.onnx")
 }

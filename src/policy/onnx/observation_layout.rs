@@ -1,4 +1,5 @@
-//! Translates the observation of another program into this program's observation.
+//! The layout of another program's observation. It converts the weights of a first layer, and the
+//! bounds of its inputs, to this program's observation.
 
 use thiserror::Error;
 
@@ -79,7 +80,7 @@ impl ObservationLayout {
         self.entries.len()
     }
 
-    /// Whether there is no entry.
+    /// Returns whether the layout has no entry.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()

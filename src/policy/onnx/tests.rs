@@ -1,5 +1,5 @@
 //! Tests the import with models whose outputs onnxruntime computed (`tests/fixtures/onnx/make.py`),
-//! and the import of what this program exports.
+//! and the import of the models that this program exports.
 
 use serde_json::Value;
 
@@ -37,7 +37,7 @@ fn imported_networks_give_the_outputs_of_onnxruntime() {
             let scale = 1.0_f32.max(action.abs());
             assert!(
                 (voltage_v / 5.0 - action).abs() < 2e-6 * scale,
-                "{name}: {voltage_v} {action}"
+                "{name}: {voltage_v} V for the action {action}"
             );
             assert_eq!(turned.voltage_of_observation_v(&observation), -voltage_v);
         }
@@ -140,7 +140,7 @@ fn a_bias_of_another_type_than_float_is_refused() {
     let refused = Err(ImportError::Type { name: "bias".into() });
     assert_eq!(with_bias(TYPES[2], &[0, 0x38, 0, 0xc0]), refused);
     assert_eq!(with_bias(TYPES[1], &[1; 16]), refused);
-    // An integer constant has as many values as its shape says, too.
+    // An integer constant must have as many values as its shape, too.
     assert_eq!(with_bias(TYPES[1], &[1; 8]), Err(ImportError::Values { name: "b".into() }));
 }
 
@@ -219,10 +219,11 @@ fn a_shape_that_contradicts_the_layers_is_refused() {
     assert_eq!(changed("Reshape", &[-1, 6], Some(12)), declared(12));
     for (operator, target) in [("Reshape", [-1, 3]), ("Reshape", [6, 1]), ("Expand", [1, 12])] {
         let refused = changed(operator, &target, Some(6)).unwrap_err().to_string();
-        let told = "to a shape with another number of entries in a row";
-        assert_eq!(refused, format!("has the operator {operator} {told}"));
+        let reason = "to a shape with another number of entries in a row";
+        assert_eq!(refused, format!("has the operator {operator} {reason}"));
     }
-    // The shape of x itself, and one whose last part is constant.
+    // Two computed shapes are accepted: the shape of x itself, and a shape whose last part is
+    // constant.
     let own = |operator: &str| {
         let shape = node("Shape", &["x"], "own");
         read(node(operator, &["x", "own"], "s"), Some(shape), &[6], Some(6))
@@ -289,7 +290,7 @@ fn an_observation_in_another_order_is_rearranged() {
     let mut network =
         Layers::from_onnx(bytes).unwrap().network(&ObservationLayout::own(0), 5.0).unwrap();
     let expected = {
-        // In the other order: alpha_dot in rad/s, the cosine from upright, and the arm's angle
+        // The other order has alpha_dot in rad/s, the cosine from upright, and the arm's angle
         // last.
         let seen = [own[5] * 20.0, -own[3], own[2], own[4], own[0], own[1]];
         network.voltage_of_observation_v(&seen)
@@ -298,7 +299,7 @@ fn an_observation_in_another_order_is_rearranged() {
     let layout = ObservationLayout::parse(layout).unwrap();
     let mut arranged = Layers::from_onnx(bytes).unwrap().network(&layout, 5.0).unwrap();
     let voltage_v = arranged.voltage_of_observation_v(&own);
-    assert!((voltage_v - expected).abs() < 1e-4, "{voltage_v} {expected}");
+    assert!((voltage_v - expected).abs() < 1e-4, "{voltage_v} V instead of {expected} V");
 }
 
 fn foreign(action_scale_v: f32, clip_observation: Option<f32>) -> ForeignConventions {
@@ -391,7 +392,7 @@ fn an_exported_model_whose_graph_was_changed_is_refused() {
 }
 
 #[test]
-fn a_clip_of_the_observation_is_kept_or_asked_for() {
+fn the_observation_is_clipped_at_the_limit_that_the_caller_gives() {
     let (_, bytes) = MODELS[0];
     let plain = from_onnx(bytes, Some(&foreign(5.0, None))).unwrap().network;
     let clipped = from_onnx(bytes, Some(&foreign(5.0, Some(0.5)))).unwrap().network;
@@ -430,7 +431,7 @@ fn a_limit_of_the_output_below_the_motors_is_refused() {
 }
 
 #[test]
-fn what_this_program_does_not_know_is_refused_by_name() {
+fn unknown_operators_and_other_files_are_refused_by_name() {
     for (bytes, message) in [
         (&include_bytes!("../../../tests/fixtures/onnx/refused-softmax.onnx")[..], "Softmax"),
         (include_bytes!("../../../tests/fixtures/onnx/refused-leakyrelu.onnx"), "LeakyRelu"),
@@ -464,7 +465,7 @@ fn a_known_operator_with_another_attribute_is_refused_by_its_attribute() {
 }
 
 #[test]
-fn no_damage_of_a_file_panics() {
+fn no_damage_of_a_file_makes_the_reader_panic() {
     let own = policies().nth(2).map(|policy| to_onnx(&policy)).unwrap();
     for bytes in MODELS.map(|(_, bytes)| bytes).into_iter().chain([own.as_slice()]) {
         for length in 0..bytes.len() {

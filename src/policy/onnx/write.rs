@@ -1,7 +1,7 @@
 //! Writes a network as an ONNX model in one file.
 //!
-//! The numbers of fields are those of ONNX's `onnx.proto`: field 7 of a `ModelProto`, for example,
-//! is its graph.
+//! The numbers of fields come from ONNX's `onnx.proto`: field 7 of a `ModelProto`, for example, is
+//! its graph.
 
 use crate::policy::file::network_metadata;
 use crate::policy::{Activation, NetworkPolicy, OutputKind};
@@ -51,7 +51,7 @@ pub fn to_onnx(policy: &NetworkPolicy) -> Vec<u8> {
         .into_bytes()
 }
 
-/// Collects the nodes of a graph, in order from the observation, and its constants.
+/// The nodes of a graph so far, in order from the observation, and its constants.
 struct Writer {
     nodes: Vec<Message>,
     constants: Vec<Message>,

@@ -20,15 +20,18 @@ pub(super) fn unarmed(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     test_host.sample()?;
     test_host.refused(test_host.act_request(500), RefusalReason::NotArmed)?;
     let sample = test_host.sample()?;
-    ensure!(sample.applied_mv == 0, "{} mV at a motor that is off", sample.applied_mv);
-    ensure!(sample.sample_to_act_us == NO_ACT_US, "it reports an act that it has refused");
+    ensure!(sample.applied_mv == 0, "a motor that is off has {} mV", sample.applied_mv);
+    ensure!(sample.sample_to_act_us == NO_ACT_US, "the device reports an act that it has refused");
     Ok(())
 }
 
 pub(super) fn act(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     test_host.arm()?;
     let mut before = test_host.sample_armed()?;
-    ensure!(before.sample_to_act_us == NO_ACT_US, "it reports an act although there was none");
+    ensure!(
+        before.sample_to_act_us == NO_ACT_US,
+        "the device reports an act although there was none"
+    );
     for voltage_mv in VOLTAGES_MV {
         let sequence = test_host.act(voltage_mv)?;
         // The next sample must name the second act on the same sample.
@@ -37,7 +40,7 @@ pub(super) fn act(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
         let expected_mv = motor_voltage_mv(motor_counts(voltage_mv));
         ensure!(
             after.applied_mv == expected_mv,
-            "an act of {voltage_mv} mV shows as {} mV instead of {expected_mv} mV",
+            "after an act of {voltage_mv} mV the device reports {} mV instead of {expected_mv} mV",
             after.applied_mv
         );
         ensure!(
@@ -45,7 +48,10 @@ pub(super) fn act(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
             "the last act has the sequence number {newer} and the one before it {sequence}, but the sample names {}",
             after.last_act_sequence
         );
-        ensure!(after.sample_to_act_us != NO_ACT_US, "it reports no act although there were two");
+        ensure!(
+            after.sample_to_act_us != NO_ACT_US,
+            "the device reports no act although there were two"
+        );
         let between_us = after.device_time_us.wrapping_sub(before.device_time_us);
         ensure!(
             u32::from(after.sample_to_act_us) <= between_us,
@@ -55,21 +61,24 @@ pub(super) fn act(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
         before = after;
     }
     let idle = test_host.sample_armed()?;
-    ensure!(idle.sample_to_act_us == NO_ACT_US, "it reports an act although there was none");
+    ensure!(
+        idle.sample_to_act_us == NO_ACT_US,
+        "the device reports an act although there was none"
+    );
     Ok(())
 }
 
 pub(super) fn first_act_time(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     test_host.arm()?;
     let mut before = test_host.sample_armed()?;
-    let mut told = (0, 0);
+    let mut reported = (0, 0);
     for _ in 0..TRIES {
         test_host.act(0)?;
         test_host.wait_ns(BETWEEN_ACTS_NS);
         test_host.act(0)?;
         let after = test_host.sample_armed()?;
         let between_us = after.device_time_us.wrapping_sub(before.device_time_us);
-        told = (after.sample_to_act_us, between_us);
+        reported = (after.sample_to_act_us, between_us);
         // The second act came at the end of the time between the samples, and the first one before
         // the wait; half of the wait is left to the link.
         let latest_us = u64::from(between_us).saturating_sub(BETWEEN_ACTS_NS / 2000);
@@ -78,7 +87,7 @@ pub(super) fn first_act_time(test_host: &mut TestHost<'_>) -> Result<(), Deviati
         }
         before = after;
     }
-    let (sample_to_act_us, between_us) = told;
+    let (sample_to_act_us, between_us) = reported;
     Err(Deviation::Wrong(format!(
         "sample to act took {sample_to_act_us} us of {between_us} us between two samples, although the second act \
          came {} us after the first",

@@ -15,10 +15,10 @@ pub(super) fn arm(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     let armed = test_host.sample_armed()?;
     ensure!(armed.applied_mv == 0, "arming put {} mV at the motor", armed.applied_mv);
     let reply = disarm(test_host)?;
-    ensure!(reply.state == DeviceState::Greeted, "after a disarm it is {:?}", reply.state);
+    ensure!(reply.state == DeviceState::Greeted, "after a disarm the device is {:?}", reply.state);
     ensure!(reply.nonce != 0 && reply.nonce != nonce, "a disarm gave the nonce {}", reply.nonce);
     let off = test_host.sample()?;
-    ensure!(!off.status.has(StatusBits::ARMED), "it is armed after a disarm");
+    ensure!(!off.status.has(StatusBits::ARMED), "the device is armed after a disarm");
     let again = disarm(test_host)?;
     ensure!(again.nonce == reply.nonce, "a second disarm changed the nonce");
     test_host.arm_with(reply.nonce)?;
@@ -30,7 +30,7 @@ pub(super) fn wrong_nonce(test_host: &mut TestHost<'_>) -> Result<(), Deviation>
     for wrong in [0, nonce ^ 1, nonce.swap_bytes() ^ 0x55, u32::MAX ^ nonce] {
         test_host.refused(Request::Arm { nonce: wrong }, RefusalReason::WrongNonce)?;
     }
-    ensure!(!test_host.sample()?.status.has(StatusBits::ARMED), "a wrong nonce armed it");
+    ensure!(!test_host.sample()?.status.has(StatusBits::ARMED), "a wrong nonce armed the device");
     test_host.arm_with(nonce)?;
     Ok(())
 }
@@ -79,7 +79,7 @@ pub(super) fn hello_disarms(test_host: &mut TestHost<'_>) -> Result<(), Deviatio
     let off = test_host.sample()?;
     ensure!(
         !off.status.has(StatusBits::ARMED) && off.applied_mv == 0,
-        "after a hello it is still driving: {off:?}"
+        "after a hello the device still drives the motor: {off:?}"
     );
     test_host.refused(test_host.act_request(500), RefusalReason::NotArmed)
 }

@@ -6,13 +6,13 @@ use super::{Deviation, TestHost, ensure};
 const UNKNOWN_TYPES: [u8; 4] = [0x00, 0x06, 0x42, 0x7F];
 
 /// Greets the device, runs an action, and returns the number of frames that the device has dropped
-/// meanwhile.
+/// during the action.
 fn dropped_during(
     test_host: &mut TestHost<'_>,
-    happens: impl FnOnce(&mut TestHost<'_>) -> Result<(), Deviation>,
+    action: impl FnOnce(&mut TestHost<'_>) -> Result<(), Deviation>,
 ) -> Result<u16, Deviation> {
     let before = test_host.greet()?.dropped_frames;
-    happens(test_host)?;
+    action(test_host)?;
     Ok(test_host.greet()?.dropped_frames.wrapping_sub(before))
 }
 
@@ -31,7 +31,7 @@ pub(super) fn garbage(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     })?;
     ensure!(
         usize::from(dropped) == pieces.len(),
-        "{} frames were garbage, it counted {dropped}",
+        "{} frames were garbage, but the device counted {dropped}",
         pieces.len()
     );
     Ok(())
@@ -63,11 +63,11 @@ pub(super) fn truncated(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     let encoded = Request::Arm { nonce }.encode(sequence);
     let bytes = encoded.as_bytes();
     for length in 1..bytes.len() - 1 {
-        // First a frame that a delimiter cuts off, then one that runs into the next frame.
+        // The first frame is cut off by a delimiter, the second one runs into the next frame.
         test_host.send_bytes(&bytes[..length])?;
         test_host.send_bytes(&[0])?;
         let sample = test_host.sample()?;
-        ensure!(!sample.status.has(StatusBits::ARMED), "{length} bytes of an Arm armed it");
+        ensure!(!sample.status.has(StatusBits::ARMED), "{length} bytes of an Arm armed the device");
         test_host.send_bytes(&bytes[..length])?;
         test_host.send(Request::Sample)?;
         test_host.sample()?;
@@ -106,7 +106,7 @@ pub(super) fn reply_types(test_host: &mut TestHost<'_>) -> Result<(), Deviation>
     })?;
     ensure!(
         usize::from(dropped) == types.len(),
-        "{} frames were replies, it counted {dropped}",
+        "{} frames were replies, but the device counted {dropped}",
         types.len()
     );
     Ok(())

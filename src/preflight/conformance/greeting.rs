@@ -8,13 +8,16 @@ const SLACK_US: u64 = 6_000;
 
 pub(super) fn hello(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     let reply = test_host.greet()?;
-    ensure!(reply.protocol_version == PROTOCOL_VERSION, "it speaks {reply:?}");
+    ensure!(
+        reply.protocol_version == PROTOCOL_VERSION,
+        "the device has another protocol version: {reply:?}"
+    );
     ensure!(
         reply.module_id == QUBE_MODULE_ID,
-        "its Qube answers 0x{:04x} instead of 0x{QUBE_MODULE_ID:04x}",
+        "its Qube has the module id 0x{:04x} instead of 0x{QUBE_MODULE_ID:04x}",
         reply.module_id
     );
-    ensure!(reply.nonce != 0, "its nonce is 0");
+    ensure!(reply.nonce != 0, "the nonce of the device is 0");
     Ok(())
 }
 
@@ -32,8 +35,11 @@ pub(super) fn version_mismatch(test_host: &mut TestHost<'_>) -> Result<(), Devia
     let valid = test_host.greet()?.nonce;
     for version in [0, PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1, u16::MAX] {
         let reply = test_host.greet_as(version)?;
-        ensure!(reply.protocol_version == PROTOCOL_VERSION, "it says it speaks {reply:?}");
-        ensure!(reply.nonce == 0, "it gave a nonce to a host of version {version}");
+        ensure!(
+            reply.protocol_version == PROTOCOL_VERSION,
+            "the device names another protocol version: {reply:?}"
+        );
+        ensure!(reply.nonce == 0, "the device gave a nonce to a host of version {version}");
         for request in [Request::Sample, Request::Arm { nonce: valid }, test_host.act_request(0)] {
             test_host.refused(request, RefusalReason::NotGreeted)?;
         }
@@ -44,19 +50,26 @@ pub(super) fn version_mismatch(test_host: &mut TestHost<'_>) -> Result<(), Devia
 pub(super) fn sample(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
     test_host.greet()?;
     let mut last = test_host.sample()?;
-    ensure!(!last.status.has(StatusBits::ARMED), "it is armed by a hello");
-    ensure!(last.applied_mv == 0, "{} mV at a motor that is off", last.applied_mv);
+    ensure!(!last.status.has(StatusBits::ARMED), "a hello armed the device");
+    ensure!(last.applied_mv == 0, "a motor that is off has {} mV", last.applied_mv);
     for _ in 0..20 {
         let sample = test_host.sample()?;
         let elapsed_us = sample.device_time_us.wrapping_sub(last.device_time_us);
-        ensure!(elapsed_us != 0, "it gave the same sample twice, of {} us", last.device_time_us);
-        ensure!(elapsed_us < 1 << 31, "its clock went back by {} us", elapsed_us.wrapping_neg());
+        ensure!(elapsed_us != 0, "the device gave the sample of {} us twice", last.device_time_us);
+        ensure!(
+            elapsed_us < 1 << 31,
+            "the device's clock went back by {} us",
+            elapsed_us.wrapping_neg()
+        );
         ensure!(
             !sample.status.has(StatusBits::RESERVED),
             "reserved bits are set: {:08b}",
             sample.status.0
         );
-        ensure!(sample.sample_to_act_us == 0xFFFF, "it reports an act although there was none");
+        ensure!(
+            sample.sample_to_act_us == 0xFFFF,
+            "the device reports an act although there was none"
+        );
         last = sample;
     }
     Ok(())
@@ -77,7 +90,7 @@ pub(super) fn device_clock(test_host: &mut TestHost<'_>) -> Result<(), Deviation
     let most_us = (second_answered_ns - first_asked_ns) / 1000 * 101 / 100 + SLACK_US;
     ensure!(
         (least_us..=most_us).contains(&elapsed_us),
-        "{elapsed_us} us by its clock are between {least_us} and {most_us} us by the computer's"
+        "the device's clock advanced by {elapsed_us} us instead of {least_us} to {most_us} us"
     );
     Ok(())
 }

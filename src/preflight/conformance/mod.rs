@@ -1,9 +1,9 @@
 //! Tests whether a device keeps the promises of `PROTOCOL.md`. Each check has a name and tests one
-//! promise. The checks talk to any device over its raw wire: the emulator, the firmware, or another
-//! implementation.
+//! promise. The checks exchange bytes with any device over its wire: the emulator, the firmware, or
+//! another implementation.
 //!
 //! The checks use the protocol crate and a transport, but not the host's side of the link, because
-//! a fault there could hide a fault of the device. The motor gets at most 1 V, and that for a few
+//! a fault there could hide a fault of the device. The motor gets at most 1 V, for a few
 //! milliseconds; the checks of the watchdog leave up to 0.5 V on until the watchdog switches it
 //! off, 50 to 55 ms later, the check of stale samples holds 0.25 V for more than 20 ms, and the
 //! check of flipped bits holds 0.25 V while it sends its frames. The checks test a device's
@@ -34,7 +34,7 @@ pub struct ConformanceCheck {
     run: fn(&mut TestHost<'_>) -> Result<(), Deviation>,
 }
 
-/// A deviation of a device from the protocol.
+/// The reason why a device did not pass a check.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum Deviation {
     /// The device did something other than the protocol says.
@@ -50,11 +50,13 @@ pub enum Deviation {
     /// after its sample. This says nothing about the device, so the check is repeated.
     #[error(
         "the computer was too slow in every attempt: the watchdog tripped before the check was \
-         through, or an act came too late after its sample"
+         complete, or an act came too late after its sample"
     )]
     Disturbed,
-    /// An act was refused as stale although it followed its sample at once.
-    #[error("an act {elapsed_us} us after its sample was asked for was refused as stale")]
+    /// An act was refused as stale although it followed the request of its sample within 8 ms.
+    #[error(
+        "an act was refused as stale although it came {elapsed_us} us after the request of its sample"
+    )]
     FreshRefused {
         /// Time from the request of the sample to the act, by the computer's clock, us.
         elapsed_us: u64,
@@ -184,12 +186,12 @@ pub const CHECKS: &[ConformanceCheck] = &[
     },
     ConformanceCheck {
         name: "first-act-time",
-        promise: "the time from a sample to its act is that of the first act on it",
+        promise: "the time from a sample to its act ends with the first act on it",
         run: acting::first_act_time,
     },
     ConformanceCheck {
         name: "act-out-of-range",
-        promise: "more than 5000 mV are refused and change nothing",
+        promise: "an act of more than 5000 mV is refused and changes nothing",
         run: acting::out_of_range,
     },
     ConformanceCheck {
@@ -264,7 +266,7 @@ pub const CHECKS: &[ConformanceCheck] = &[
     },
     ConformanceCheck {
         name: "back-to-back",
-        promise: "two requests in one go are both answered, in order",
+        promise: "two requests that are sent together are both answered, in order",
         run: framing::back_to_back,
     },
 ];

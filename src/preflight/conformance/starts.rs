@@ -14,7 +14,7 @@ pub(super) fn module_id(test_host: &mut TestHost<'_>) -> Result<(), Deviation> {
         test_host.sample()?;
         return Ok(());
     }
-    ensure!(reply.nonce != 0, "without a Qube it gives no nonce");
+    ensure!(reply.nonce != 0, "without a Qube the device gives no nonce");
     test_host.refused(Request::Sample, RefusalReason::QubeAbsent)?;
     test_host.refused(Request::Arm { nonce: reply.nonce }, RefusalReason::QubeAbsent)?;
     match test_host.ask(Request::Disarm)? {

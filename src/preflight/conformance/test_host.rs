@@ -12,8 +12,8 @@ use crate::device::{LinkFault, Transport};
 /// Time without an answer after which the device counts as silent, ns: 1 s.
 const PATIENCE_NS: Nanoseconds = 1_000_000_000;
 
-/// A host for the checks: it sends exactly what a check asks for, and accepts only the expected
-/// answer.
+/// A host for the checks: it sends exactly the requests and bytes of a check, and accepts only the
+/// expected answer.
 pub struct TestHost<'a> {
     transport: &'a mut dyn Transport,
     clock: &'a dyn Clock,
@@ -22,9 +22,9 @@ pub struct TestHost<'a> {
     sequence: u16,
     /// Time of the last sample by the device's clock, us; acts refer to it.
     sampled_at_us: u32,
-    /// Time of the request of the last sample, by the computer's clock.
+    /// Time of the request of the last sample, by the computer's clock, ns.
     sampled_ns: Nanoseconds,
-    /// Time of the last act, by the computer's clock.
+    /// Time of the last act, by the computer's clock, ns.
     acted_ns: Nanoseconds,
 }
 
@@ -33,7 +33,7 @@ pub struct TestHost<'a> {
 const SURELY_FRESH_NS: Nanoseconds = 8_000_000;
 
 impl<'a> TestHost<'a> {
-    /// A host that talks over this wire and measures its deadlines by this clock.
+    /// A host that uses this wire and measures its deadlines by this clock.
     pub fn new(transport: &'a mut dyn Transport, clock: &'a dyn Clock) -> Self {
         let received = VecDeque::new();
         Self {
@@ -48,12 +48,12 @@ impl<'a> TestHost<'a> {
         }
     }
 
-    /// The time by the computer's clock.
+    /// The time by the computer's clock, ns.
     pub(super) fn now_ns(&self) -> Nanoseconds {
         self.clock.now_ns()
     }
 
-    /// Waits for this duration by the computer's clock.
+    /// Waits for this duration, ns, by the computer's clock.
     pub(super) fn wait_ns(&mut self, duration_ns: Nanoseconds) {
         self.clock.sleep_until(self.clock.now_ns() + duration_ns);
     }
@@ -71,7 +71,7 @@ impl<'a> TestHost<'a> {
                 {
                     return Ok(());
                 }
-                // A device that sends other frames without end is as good as silent.
+                // A device that sends other frames without end counts as silent.
                 if self.clock.now_ns() >= deadline_ns {
                     break;
                 }
@@ -118,7 +118,7 @@ impl<'a> TestHost<'a> {
     }
 
     /// Returns the next frame; `None` if none is complete by the deadline. If the computer is late,
-    /// the bytes that have arrived by then are still read, once. Bytes that form no frame do not
+    /// the function reads the bytes that have arrived by then once. Bytes that form no frame do not
     /// delay the end.
     fn next_frame(&mut self, deadline_ns: Nanoseconds) -> Result<Option<Frame>, LinkFault> {
         let mut buffer = [0; 256];
@@ -324,7 +324,7 @@ mod tests {
             let mut wire = Chatter { clock: clock.clone(), bytes };
             let mut host = TestHost::new(&mut wire, &clock);
             assert_eq!(host.resynchronise(), Err(Deviation::Silent("Hello")));
-            assert!(clock.now_ns() < 5_000_000_000, "{}", clock.now_ns());
+            assert!(clock.now_ns() < 5_000_000_000, "it took {} ns", clock.now_ns());
         }
     }
 }

@@ -148,7 +148,7 @@ const DISTORTIONS: &[(&str, Distortion)] = &[
     ("act", |_, reply| distort_sample(reply, |sample| sample.sample_to_act_us = 0xFFFF)),
     ("act", |_, reply| distort_sample(reply, |sample| sample.last_act_sequence ^= 1)),
     ("first-act-time", |_, reply| {
-        // The time of the last act: the wait between the two is added.
+        // The device reports the time of the last act, which is later by the wait between the two.
         distort_sample(reply, |sample| {
             if sample.sample_to_act_us != NO_ACT_US {
                 sample.sample_to_act_us += 5000;
@@ -159,7 +159,7 @@ const DISTORTIONS: &[(&str, Distortion)] = &[
     ("replayed-act", |_, reply| !refuses(reply, RefusalReason::StaleSequence)),
     ("watchdog", |_, reply| distort_sample(reply, |sample| sample.device_time_us *= 2)),
     ("watchdog-after-arm", |_, reply| {
-        // A clock that stands still, and with it the watchdog.
+        // The clock stands still, and the watchdog with it.
         distort_sample(reply, |sample| {
             (sample.device_time_us, sample.status) = (7, StatusBits(StatusBits::ARMED));
         })

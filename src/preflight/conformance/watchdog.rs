@@ -12,25 +12,26 @@ const LATEST_US: u32 = (WATCHDOG_MS + WATCHDOG_POLL_MS) as u32 * 1000;
 /// Pause between the samples that show when the watchdog trips, ns: 1 ms.
 const PAUSE_NS: u64 = 1_000_000;
 
-/// Time by the computer's clock after which a device whose own clock shows less than a tenth of it
-/// has a clock that stands still or runs backwards, ns: 5 s.
+/// Longest time that a check waits for the device's clock, ns by the computer's clock: 5 s. If the
+/// device's clock then shows less than 0.5 s, it stands still or runs backwards.
 const LONGEST_NS: Nanoseconds = 5_000_000_000;
 
-/// Fails if [`LONGEST_NS`] had passed since `begin_ns` when a sample was requested at `asked_ns`.
-/// A check calls this function after a sample by whose time the check goes on, so that a device
-/// whose clock stands still does not keep the check from ending, with the motor on.
+/// Fails if [`LONGEST_NS`] had passed since `begin_ns` when a sample was requested at `asked_ns`. A
+/// check that continues until the device's clock reaches a time calls this function after each
+/// sample. Otherwise a clock that stands still would keep the check from ending, with the motor on.
 fn ensure_clock_runs(begin_ns: Nanoseconds, asked_ns: Nanoseconds) -> Result<(), Deviation> {
     ensure!(
         asked_ns - begin_ns < LONGEST_NS,
-        "its clock stands still or runs backwards: it shows less than 0.5 s after {} s",
+        "the device's clock stands still or runs backwards: it shows less than 0.5 s after {} s",
         LONGEST_NS / 1_000_000_000
     );
     Ok(())
 }
 
-/// Repeats an action until the watchdog has tripped. Fails if it trips earlier than 50 ms after
-/// `fed_us`, or has not tripped one poll of the watchdog (5 ms) later. `fed_us` is the time of the
-/// last arm or act. All times are by the device's clock, which must run.
+/// Repeats an action until the watchdog has tripped. Fails if the watchdog has tripped less than 50
+/// ms after `fed_us`, has not tripped more than 55 ms after it (5 ms are one poll of the watchdog),
+/// or has tripped and the motor is not off. `fed_us` is the time of the last arm or act. All times
+/// are by the device's clock, which must run.
 pub(super) fn trips_while(
     test_host: &mut TestHost<'_>,
     fed_us: u32,
@@ -50,7 +51,7 @@ pub(super) fn trips_while(
             return Ok(());
         }
         // A reading may be slightly older than its request, and so from before `fed_us`; the
-        // difference then wraps round to a huge number.
+        // difference then wraps to a number near the largest one.
         ensure!(
             elapsed_us <= LATEST_US || elapsed_us > u32::MAX / 2,
             "the watchdog has not tripped after {elapsed_us} us"
@@ -61,7 +62,7 @@ pub(super) fn trips_while(
     }
 }
 
-/// Acts, and returns the time of the act by the device's clock, us.
+/// Sends an act, and returns the time of the act by the device's clock, us.
 pub(super) fn act_timed(test_host: &mut TestHost<'_>, voltage_mv: i16) -> Result<u32, Deviation> {
     let before: SampleReply = test_host.sample_armed()?;
     test_host.act(voltage_mv)?;

@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn missing_rights_are_advice_with_something_to_type() {
+    fn missing_rights_give_advice_with_a_remedy() {
         let no = Some("no".to_owned());
         let refused = RealtimeRefusals {
             scheduling: no.clone(),

@@ -17,7 +17,7 @@ const LIBRARY: &str = "panel library";
 const INSTALL: &str =
     "install the vendor's package quanser-sdk, or name its libhil.so in QUBE_HIL_LIBHIL";
 
-/// The step for a card whose error names none.
+/// The step for a card whose error names no step.
 const CHECK_PLUG: &str = "check that it is plugged in";
 
 /// The reason why a card's link could not be measured.

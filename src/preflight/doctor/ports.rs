@@ -29,10 +29,10 @@ pub(super) fn diagnose(ports: &[String]) -> Vec<Diagnosis> {
     found.iter().flat_map(|port| [Some(permission(port)), timer(port)]).flatten().collect()
 }
 
-/// The group that owns a port which the user may not open.
+/// The group that owns a port, for a user who may not open the port.
 struct Owner {
     group: String,
-    /// Whether `/etc/group` lists the user in that group. A listed user who may not open the port
+    /// True if `/etc/group` lists the user in that group. A listed user who may not open the port
     /// was added after the login.
     is_listed: bool,
 }
@@ -58,8 +58,8 @@ fn permission(port: &str) -> Diagnosis {
     refused(&name, &owner(&groups, metadata.gid(), &user))
 }
 
-/// Whether a file can be a serial port. The test does not open the port, because a connection
-/// restarts some boards.
+/// Returns whether a file can be a serial port. The test does not open the port, because a
+/// connection restarts some boards.
 #[must_use]
 pub fn may_be_serial(metadata: &fs::Metadata) -> bool {
     // The device number's major part 1 means memory, `/dev/null` and the like.
@@ -103,7 +103,7 @@ fn timer(port: &str) -> Option<Diagnosis> {
         timer_ms => Diagnosis::advice(
             &name,
             format!(
-                "set to {timer_ms} ms; this program asks for 1 ms when it opens the port, but \
+                "set to {timer_ms} ms; this program requests 1 ms when it opens the port, but \
                  not every driver supports this"
             ),
             latency_timer_remedy(port),
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_in_use_is_advised_of_with_its_holder() {
+    fn a_port_in_use_gives_advice_that_names_its_holder() {
         let qube = EmulatedQube::spawn(EmulatorSettings::default()).unwrap();
         let port = qube.port().to_str().unwrap();
         assert_eq!(permission(port).verdict, Suitability::Well);
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_is_not_there_is_said_so() {
+    fn a_missing_port_and_other_files_are_unfit() {
         for port in ["/dev/no-such-port", "/dev/null", "/etc/passwd"] {
             let found = diagnose(&[port.to_owned()]);
             assert_eq!(found.len(), 1);

@@ -16,8 +16,8 @@ const GOOD_P99_US: f64 = 1_000.0;
 /// diagnosis is [`Unfit`](super::Suitability::Unfit): five such ticks in a row make a rollout void.
 const PERIOD_US: f64 = CONTROL_PERIOD_NS as f64 * 1e-3;
 
-/// Wakes up 100 times a second for this many seconds, or until `stop` is set, with the rights of
-/// the control thread, and measures how late it is each time.
+/// Measures how late a thread with the rights of the control thread wakes up, 100 times a second
+/// for this many seconds or until `stop` is set.
 pub(super) fn watch(
     seconds: u32,
     stop: &AtomicBool,
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_ends_the_watching() {
+    fn a_stop_ends_the_measurement() {
         let (_, diagnosis) = watch(1000, &AtomicBool::new(true)).unwrap();
         assert!(diagnosis.value.contains("in 0 ticks"), "{}", diagnosis.value);
     }

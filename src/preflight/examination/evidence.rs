@@ -26,8 +26,8 @@ const SIGMAS: f64 = 5.0;
 /// compared.
 const DEAD_LAG: f64 = 0.3;
 
-/// Current below which a Qube's motor is taken to draw none, A. At 1 V a motor that is held draws
-/// 0.1 A.
+/// Current below which a Qube's motor counts as drawing no current, A. At 1 V a motor that is held
+/// draws 0.1 A.
 const NO_CURRENT_A: f64 = 0.02;
 
 /// Push from which a missing current is a defect, V: below it, the amplifier's dead zone may
@@ -38,14 +38,14 @@ const CURRENT_FROM_V: f64 = 1.0;
 /// current: about 1 rad/s at 0.25 V. The current of a motor that is held stays constant.
 const TURNING_DROP: f64 = 0.15;
 
-/// Least shift, from before some pushes to after them, that tells an arm from a pendulum, counts of
-/// a Qube, or of a coarser encoder: 0.03 rad. A free pendulum hangs where it hung; the middle of
-/// its swing, which decays, lies up to five counts from there.
+/// Least shift, from before some pushes to after them, that shows an arm and no pendulum, counts of
+/// a Qube, or of a coarser encoder: 0.03 rad. A free pendulum hangs at the same angle before and
+/// after the pushes; the middle of its swing, which decays, lies up to five counts from this angle.
 const SHIFTED_COUNTS: f64 = 10.0;
 
 /// Largest ratio of the arm's shift to the pendulum's with which the encoders count as exchanged:
-/// the count of encoder 0, which should be the arm's, has then come back, as a pendulum's does.
-/// After a push from outside both may have shifted.
+/// the count of encoder 0, which should be the arm's, has then come back, as a pendulum's count
+/// does. After a push from outside both may have shifted.
 const CAME_BACK_SHARE: f64 = 0.5;
 
 /// Number of pushes that must show a defect, because a hand may have disturbed one of them.
@@ -58,8 +58,8 @@ pub(super) enum Pendulum {
     Unknown,
     Alive(Lag),
     Dead,
-    /// It counts the arm's motion, and the arm's encoder the pendulum's. `off_rad` is the angle
-    /// from where it hung before some pushes to where it hung after them, rad.
+    /// The pendulum's encoder counts the arm's motion, and the arm's encoder the pendulum's.
+    /// `off_rad` is the change of the hanging angle by some pushes, rad.
     Exchanged {
         off_rad: f64,
     },
@@ -101,15 +101,15 @@ pub(super) struct Evidence {
     no_current_seen: u32,
     unseen_turns: u32,
     exchanged_seen: u32,
-    /// Whether the count of encoder 0, which should be the arm's, has come to rest where a push
-    /// left it, as no pendulum's does.
+    /// True if the count of encoder 0, which should be the arm's, has come to rest where a push
+    /// left it, as no pendulum's count does.
     arm_stayed: bool,
-    /// Whether an encoder has shown a motion.
+    /// True if an encoder has shown a motion.
     moved: bool,
 }
 
 impl Evidence {
-    /// Adds one push, and says what the evidence is worth after it.
+    /// Adds one push, and returns its effect on the evidence.
     pub(super) fn add(&mut self, trace: &ProbeTrace) -> PushEffect {
         let samples = trace.samples();
         let width_counts = |angle: fn(&crate::control::ProbeSample) -> f64| {
@@ -196,14 +196,14 @@ impl Evidence {
         Some(PushEffect::Enough)
     }
 
-    /// Whether the arm turned in the direction of the voltage, in the assumed signs; `None` if it
-    /// has not turned far enough.
+    /// Returns whether the arm turned in the direction of the voltage, in the assumed signs; `None`
+    /// if it has not turned far enough.
     pub(super) fn arm_follows(&self) -> Option<bool> {
         self.arm.map(|response| response.theta_rad * response.voltage_v > 0.0)
     }
 
-    /// Whether the pendulum lagged behind the arm, in the assumed signs; `None` if its encoder is
-    /// not known to work.
+    /// Returns whether the pendulum lagged behind the arm, in the assumed signs; `None` if its
+    /// encoder is not known to work.
     pub(super) fn pendulum_lags(&self) -> Option<bool> {
         match self.pendulum {
             Pendulum::Alive(lag) => Some(lag.value > 0.0),
@@ -211,39 +211,39 @@ impl Evidence {
         }
     }
 
-    /// Whether the count of encoder 0, which should be the arm's, has come to rest where a push
-    /// left it. Until then the encoders may be exchanged.
+    /// Returns whether the count of encoder 0, which should be the arm's, has come to rest where a
+    /// push left it. Until then the encoders may be exchanged.
     pub(super) fn arm_stayed(&self) -> bool {
         self.arm_stayed
     }
 
-    /// Whether the arm's count stayed the same in [`DEFECT_SEEN`] pushes that swung the pendulum,
-    /// and no push showed a response of the arm.
+    /// Returns whether the arm's count stayed the same in [`DEFECT_SEEN`] pushes that swung the
+    /// pendulum, and no push showed a response of the arm.
     pub(super) fn arm_is_dead(&self) -> bool {
         self.dead_arm_seen >= DEFECT_SEEN && self.arm.is_none()
     }
 
-    /// Whether the motor's current showed in [`DEFECT_SEEN`] pushes that it turns, and no encoder
-    /// has ever shown a motion.
+    /// Returns whether the motor's current showed in [`DEFECT_SEEN`] pushes that the motor turns,
+    /// and no encoder has ever shown a motion.
     pub(super) fn turns_unseen(&self) -> bool {
         self.unseen_turns >= DEFECT_SEEN && !self.moved
     }
 
-    /// Whether the motor draws current; false once [`DEFECT_SEEN`] pushes from [`CURRENT_FROM_V`]
-    /// on have moved nothing and drawn none.
+    /// Returns whether the motor draws current; false once [`DEFECT_SEEN`] pushes from
+    /// [`CURRENT_FROM_V`] on have moved nothing and drawn no current.
     pub(super) fn has_current(&self) -> bool {
         self.no_current_seen < DEFECT_SEEN
     }
 
-    /// Whether nothing moves although the strongest push had at least [`CURRENT_FROM_V`], and the
-    /// motor drew far less current in it than a motor at rest should draw.
+    /// Returns whether nothing moves although the strongest push had at least [`CURRENT_FROM_V`],
+    /// and the motor drew far less current in it than a motor at rest should draw.
     pub(super) fn is_weak(&self) -> bool {
         !self.something_moved()
             && self.strongest_v >= CURRENT_FROM_V
             && self.current_a < self.least_a
     }
 
-    /// Whether an encoder or the motor's current showed a motion.
+    /// Returns whether an encoder or the motor's current showed a motion.
     pub(super) fn something_moved(&self) -> bool {
         self.moved || self.turns_unseen()
     }

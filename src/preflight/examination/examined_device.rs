@@ -38,7 +38,7 @@ impl ExaminedDevice<'_> {
         }
     }
 
-    /// Passes over a fault that may have cost no more than a sample or an act.
+    /// Ignores a fault that cost no more than a sample or an act.
     ///
     /// # Errors
     /// Waiting does not cure the fault: the port is gone, the Qube is off, or it or the board has

@@ -37,7 +37,7 @@ pub(super) struct RoundTrips {
     summary_us: LatencySummary,
     /// Count of the arm before anything moved it.
     pub(super) theta_counts: Option<i32>,
-    /// Whether the board reports that it has an emergency-stop switch.
+    /// True if the board reports that it has an emergency-stop switch.
     has_stop_switch: bool,
 }
 
@@ -110,17 +110,17 @@ impl RoundTrips {
         }
     }
 
-    /// Whether 99 of 100 samples arrive within the longest wait that a tick may have, and no more
-    /// than 1 in 100 is lost.
+    /// Returns whether 99 of 100 samples arrive within the longest wait that a tick may have, and
+    /// no more than 1 in 100 is lost.
     fn is_fast_enough(&self) -> bool {
         let most_us = LONGEST_SAMPLE_TIMEOUT_NS as f64 * 1e-3;
         self.summary_us.p99 <= most_us && self.lost * 100 <= self.asked
     }
 }
 
-/// Checks the latency timer of the FTDI driver. When this program opens the port, it asks for the
-/// low-latency mode, in which the driver uses 1 ms whatever the setting. Not every driver has that
-/// mode, so the round trips decide.
+/// Checks the latency timer of the FTDI driver. When this program opens the port, it requests the
+/// low-latency mode, in which the driver uses 1 ms regardless of the setting. Not every driver has
+/// that mode, so the round trips decide.
 pub(super) fn latency_timer(port: &str, round_trips: &RoundTrips) -> CheckResult {
     const NAME: &str = "latency-timer";
     let p50_ms = round_trips.summary_us.p50 * 1e-3;

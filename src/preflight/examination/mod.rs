@@ -59,7 +59,7 @@ pub enum OtherSigns {
 pub struct Examination {
     /// Result of each check, in order.
     pub results: Vec<CheckResult>,
-    /// Fault that ended a push, if one did. Nothing latches it before the caller does.
+    /// Fault that ended a push, if one did. The caller has to latch it.
     pub fault: Option<Fault>,
     /// Signs that the examination found, if it was to adopt them, arm and pendulum moved, and no
     /// fault ended a push; otherwise the assumed ones.
@@ -75,7 +75,7 @@ pub struct Examination {
 }
 
 impl Examination {
-    /// Whether no check failed.
+    /// Returns whether no check failed.
     #[must_use]
     pub fn passed(&self) -> bool {
         !self.results.iter().any(CheckResult::failed)
@@ -87,7 +87,8 @@ impl Examination {
 pub(super) enum Interruption {
     /// A stop was requested.
     Stopped,
-    /// The device failed: its port is gone, it no longer answers, or it refuses to be armed.
+    /// The device failed: its port is gone, it no longer answers or refuses to be armed, the Qube
+    /// is off, or it or the board has restarted.
     Device(DeviceError),
 }
 
@@ -102,8 +103,8 @@ impl From<DeviceError> for Interruption {
 /// only its watchdog can. `Ok(None)`: a stop was requested, and the device answered that hello.
 ///
 /// # Errors
-/// The port is gone, the link loses too many samples or acts, or the device no longer answers or
-/// refuses to be armed for a push.
+/// The port is gone, the Qube is off, it or the board has restarted, the link loses too many
+/// samples or acts, or the device no longer answers or refuses to be armed for a push.
 pub fn examine(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -140,7 +141,7 @@ fn run_checks(
     let identity = &settings.identity;
     let round_trips = link::measure(examined, link::SAMPLES)?;
     found.results.push(link::identity(identity, &round_trips));
-    found.link = Some(taken_on(examined.device, &round_trips));
+    found.link = Some(adopt_link(examined.device, &round_trips));
     found.start_theta_counts = round_trips.theta_counts;
     found.results.push(link::latency_timer(&identity.port, &round_trips));
     found.results.push(link::latency(&identity.port, &round_trips));
@@ -175,7 +176,7 @@ fn run_checks(
 /// the link. A sample without an answer counts as lost. `Ok(None)`: a stop was requested.
 ///
 /// # Errors
-/// The port is gone.
+/// The port is gone, the Qube is off, or it or the board has restarted.
 pub fn measure_link(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -184,19 +185,19 @@ pub fn measure_link(
 ) -> Result<Option<MeasuredLink>, DeviceError> {
     let mut examined = ExaminedDevice { device: &mut *device, clock, stop, port };
     match link::measure(&mut examined, link::FEW_SAMPLES) {
-        Ok(round_trips) => Ok(Some(taken_on(device, &round_trips))),
+        Ok(round_trips) => Ok(Some(adopt_link(device, &round_trips))),
         Err(Interruption::Stopped) => Ok(None),
         Err(Interruption::Device(error)) => Err(error),
     }
 }
 
-fn taken_on(device: &mut dyn Device, round_trips: &link::RoundTrips) -> MeasuredLink {
+fn adopt_link(device: &mut dyn Device, round_trips: &link::RoundTrips) -> MeasuredLink {
     let link = round_trips.link();
     device.set_sample_time_ns(u64::from(link.sample_time_us) * 1000);
     link
 }
 
-/// Whether the test of the watchdog failed, so that nothing may be run with this device.
+/// Returns whether the test of the watchdog failed, so that nothing may be run with this device.
 #[must_use]
 pub fn watchdog_failed(results: &[CheckResult]) -> bool {
     let is_of_watchdog = |name: &str| [watchdog::NAME, silent_push::NAME].contains(&name);
@@ -301,7 +302,7 @@ mod tests {
     }
 
     /// An emulated board whose samples are lost from the second one after an act until 0.1 s after
-    /// it.
+    /// the act.
     struct LosesSamples {
         board: Box<dyn Device>,
         clock: VirtualClock,
@@ -364,7 +365,7 @@ mod tests {
         }
     }
 
-    /// An emulated board that counts as hardware, and whose first push goes wrong as `mishap` says.
+    /// An emulated board that counts as hardware, and whose first push suffers this `mishap`.
     struct Mishandled<'a> {
         board: Box<dyn Device>,
         clock: VirtualClock,
@@ -451,7 +452,7 @@ mod tests {
     fn failed_check(found: Result<Option<Examination>, DeviceError>) -> CheckResult {
         let results = found.unwrap().unwrap().results;
         let mut failed = results.into_iter().filter(CheckResult::failed);
-        let result = failed.next().expect("a check failed");
+        let result = failed.next().expect("one check of the examination fails");
         assert_eq!(failed.next(), None);
         result
     }
@@ -472,8 +473,8 @@ mod tests {
         let (found, motions) = examined(Mishap::Unconfirmed);
         let failed = failed_check(found);
         assert_eq!((failed.name.as_str(), motions), ("motor", 2), "{failed:?}");
-        let told = failed.remedy.unwrap();
-        assert!(told.starts_with("Switch the Qube off"), "{told}");
+        let remedy = failed.remedy.unwrap();
+        assert!(remedy.starts_with("Switch the Qube off"), "{remedy}");
     }
 
     #[test]

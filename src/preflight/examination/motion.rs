@@ -37,10 +37,10 @@ const ARM_SIGN: &str = "arm-sign";
 const PENDULUM_SIGN: &str = "pendulum-sign";
 const MOTOR_SIGN: &str = "motor-sign";
 
-/// Names of all checks that move the arm, in the order of the report.
+/// Names of the checks of motor, encoders and signs, in the order of the report.
 const ALL: [&str; 7] = [MOTOR, STALL, ARM, PENDULUM, ARM_SIGN, PENDULUM_SIGN, MOTOR_SIGN];
 
-/// Reports each check that moves the arm as skipped.
+/// Reports each check of [`ALL`] as skipped.
 pub(super) fn skip(found: &mut Examination, why: &str) {
     skip_these(found, &ALL, why);
 }
@@ -50,7 +50,7 @@ fn skip_these(found: &mut Examination, names: &[&str], why: &str) {
 }
 
 /// Records the fault that ended a push, reports one check as failed by it, and reports the other
-/// checks that move the arm as skipped.
+/// checks of [`ALL`] as skipped.
 fn give_up(found: &mut Examination, fault: Fault) {
     let value = format!("a fault ended the push: {fault}");
     let remedy = format!("{} Then check again", fault.operator_step());
@@ -163,7 +163,8 @@ enum AfterPushes {
 }
 
 impl Pushes<'_, '_> {
-    /// Pushes with `push_v` volts, and again as long as the push is to be repeated.
+    /// Pushes with `push_v` volts. Repeats the push after a fault that points to no defect, and
+    /// while its effect is [`PushEffect::SeeAgain`], up to the largest numbers of repetitions.
     fn repeat(&mut self, push_v: f64) -> Result<AfterPushes, Interruption> {
         let (mut disturbed, mut pushes) = (0, 0);
         let mut before = self.at_rest;
@@ -241,9 +242,9 @@ impl Pushes<'_, '_> {
     }
 }
 
-/// Whether a sign looks wrong only because the encoders may be exchanged: the arm has not yet shown
+/// Returns whether a sign looks wrong while the encoders may be exchanged: the arm has not shown
 /// that it stays where it is pushed. An arm that its cable always pulls back never shows that; its
-/// sign is named after [`MAX_DOUBTFUL_PUSHES`].
+/// sign is reported after [`MAX_DOUBTFUL_PUSHES`].
 fn may_be_exchanged(signs: Calibration, seen: &Evidence) -> bool {
     !seen.arm_stayed() && right_signs(signs, seen).is_some_and(|right| right != signs)
 }

@@ -20,7 +20,7 @@ const PENDULUM_COUNTS: f64 = 6.0;
 
 /// Largest swing of a pendulum that is accepted after [`PATIENCE_NS`] although it does not come to
 /// rest, counts of a Qube. On an arm that friction holds, a pendulum with hardly any friction
-/// swings for very long; the effect of a push can still be told from so small a swing.
+/// swings for very long; the effect of a push can be distinguished from such a small swing.
 const SWINGING_COUNTS: f64 = 30.0;
 /// Time after which a small swing of the pendulum is accepted, ns: 5 s.
 const PATIENCE_NS: Nanoseconds = 5_000_000_000;
@@ -124,8 +124,8 @@ pub(super) fn wait_for_the_arm(
 }
 
 /// Waits, with the motor off, until arm and pendulum are at rest, so that the effect of a push
-/// shows. After [`PATIENCE_NS`] a small swing of the pendulum passes too; after [`LONGEST_NS`] the
-/// check fails.
+/// shows. After [`PATIENCE_NS`] a small swing of the pendulum is accepted, too; after
+/// [`LONGEST_NS`] the check fails.
 pub(super) fn wait(
     examined: &mut ExaminedDevice<'_>,
     encoders: Encoders,
@@ -206,16 +206,16 @@ mod tests {
         }
     }
 
-    /// A Qube at rest whose samples a function gives by their number.
+    /// A device whose samples a function gives by their number.
     struct Sampled<F>(VirtualClock, u32, F);
 
     impl<F: Fn(u32) -> Result<Measurement, LinkFault> + Send> Device for Sampled<F> {
         fn hello(&mut self) -> Result<Identity, DeviceError> {
-            unreachable!("nothing greets it")
+            unreachable!("the wait sends no hello")
         }
 
         fn arm(&mut self) -> Result<(), DeviceError> {
-            unreachable!("nothing arms it")
+            unreachable!("the wait arms no device")
         }
 
         fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
@@ -228,7 +228,7 @@ mod tests {
         }
 
         fn act(&mut self, _voltage_mv: i16, _sampled_at_us: u64) -> Result<(), LinkFault> {
-            unreachable!("nothing drives it")
+            unreachable!("the wait sends no act")
         }
 
         fn disarm(&mut self) -> Result<(), DeviceError> {
@@ -236,7 +236,7 @@ mod tests {
         }
     }
 
-    /// The result of the wait for such a Qube, and how long it took, s.
+    /// The result of the wait for such a device, and the duration of the wait, s.
     fn waited(
         samples: impl Fn(u32) -> Result<Measurement, LinkFault> + Send,
     ) -> (Result<CheckResult, Interruption>, f64) {
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn the_remedy_names_what_moves() {
+    fn the_remedy_names_the_part_that_moves() {
         let remedy_of = |moving: fn(i32) -> Measurement| {
             let (result, _) = waited(move |number| Ok(moving(number as i32)));
             result.unwrap().remedy.unwrap()

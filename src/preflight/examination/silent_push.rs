@@ -32,8 +32,8 @@ const PUSH_PERIODS: u32 = 5;
 /// coasts without friction, by 0.014 s^2 a.
 const OBSERVED_PERIODS: u32 = 30;
 
-/// Least travel of a push, counts. From this travel on, an arm that turns twice as far can be told
-/// from one that does not.
+/// Least travel of a push, counts. From this travel on, an arm that turns three times as far
+/// exceeds [`LONGEST_FACTOR`] times the travel plus [`LONGEST_MORE_COUNTS`].
 const LEAST_COUNTS: u32 = 20;
 
 /// Longest travel of an arm whose motor went off, as a multiple of the travel of a controlled push.
@@ -114,8 +114,7 @@ fn repeated(
         examined.device.hello()?;
         examined.device.arm()?;
         let from = push(examined);
-        // The hello switches the motor off, whatever became of the push, and clears an expired
-        // watchdog.
+        // The hello switches the motor off even if the push failed, and clears an expired watchdog.
         examined.device.hello()?;
         let Ok(from) = from else { return Err(examined.link_fault(LinkFault::Gone)) };
         let to = sampled(examined);

@@ -1,11 +1,11 @@
 //! Estimates from a push how far the pendulum's encoder follows the arm's motion: this shows the
 //! encoder's sign, and whether the encoder works.
 //!
-//! Near the bottom the pendulum follows alpha'' = -k theta'' - w^2 (alpha - c), whatever drives the
-//! arm, including friction, cable and play. Here k = 3 L_r / (2 L_p) is the lag, 0.99 on a nominal
-//! Qube, with the lengths L_r of the arm and L_p of the pendulum; w is the angular frequency of the
-//! pendulum's swing, and c the angle at which it hangs. Integrated twice, the equation needs no
-//! derivatives of counts:
+//! Near the bottom the pendulum follows alpha'' = -k theta'' - w^2 (alpha - c), for every torque on
+//! the arm, including friction, cable and play. Here k = 3 L_r / (2 L_p) is the lag, 0.99 on a
+//! nominal Qube, with the lengths L_r of the arm and L_p of the pendulum; w is the angular
+//! frequency of the pendulum's swing, and c the angle at which it hangs. Integrated twice, the
+//! equation needs no derivatives of counts:
 //!
 //! ```text
 //! alpha(t) = -k theta(t) - w^2 S(t) + a + b t + d t^2,    S = the double integral of alpha
@@ -29,10 +29,10 @@ const TERMS: usize = 5;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SwingFit {
     /// Estimate of k in the assumed signs, positive if they are right; `None` if the arm did not
-    /// move, or if the terms cannot be told apart.
+    /// move, the terms are not independent, or there are too few samples to fit.
     pub(super) lag: Option<Lag>,
     /// Residual of alpha, counts, when the pendulum is fitted as on an arm at rest: large if the
-    /// arm drove the pendulum. 0 if there are too few samples to fit.
+    /// arm drove the pendulum. 0 if the terms are not independent, or there are too few samples.
     pub(super) driven_counts: f64,
 }
 
@@ -46,8 +46,8 @@ pub(super) struct Lag {
 }
 
 /// Fits the pendulum's equation to the samples of a probe. An arm that moved by at most
-/// `stood_counts` encoder counts is taken as at rest.
-pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64, encoders: Encoders) -> SwingFit {
+/// `at_rest_counts` encoder counts is taken as at rest.
+pub(super) fn fit(samples: &[ProbeSample], at_rest_counts: f64, encoders: Encoders) -> SwingFit {
     let [theta_rad, alpha_rad] = [encoders.theta, encoders.alpha].map(|own| own.rad_per_count());
     let Some(first) = samples.first() else {
         return SwingFit { lag: None, driven_counts: 0.0 };
@@ -70,11 +70,11 @@ pub(super) fn fit(samples: &[ProbeSample], stood_counts: f64, encoders: Encoders
     let thetas = rows.iter().map(|(row, _)| row[0]);
     let (lowest, highest) =
         thetas.fold((0.0_f64, 0.0_f64), |(low, high), theta| (low.min(theta), high.max(theta)));
-    let stood = highest - lowest <= (stood_counts + 0.5) * theta_rad;
+    let is_at_rest = highest - lowest <= (at_rest_counts + 0.5) * theta_rad;
 
     let free = least_squares(&rows, [false, true, true, true, true]);
     let driven_counts = free.map_or(0.0, |free| free.residual_rad / alpha_rad);
-    let lag = if stood { None } else { least_squares(&rows, [true; TERMS]) };
+    let lag = if is_at_rest { None } else { least_squares(&rows, [true; TERMS]) };
     let lag = lag.map(|all| Lag {
         value: -all.coefficients[0],
         standard_error: all.first_variance.sqrt()
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn the_lag_is_found_of_any_pendulum_swinging_or_not() {
+    fn the_lag_of_a_pendulum_is_found_at_rest_and_swinging() {
         for lag in [0.9, 1.0, 1.1, -1.0] {
             for square_rad_s2 in [100.0, 117.0, 135.0] {
                 for alpha_dot in [0.0, 0.5, -1.0] {
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_swing_on_an_arm_at_rest_is_not_driven_and_behind_a_dead_encoder_it_is() {
+    fn a_swing_counts_as_driven_by_an_arm_with_a_dead_encoder_and_not_by_an_arm_at_rest() {
         for alpha_dot in [0.0, 0.3, 1.0] {
             let still =
                 fit(&samples(|_| 0.0, alpha_dot, (1.0, 117.0)), AT_REST_COUNTS, Encoders::QUBE);
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_to_fit_is_no_lag() {
+    fn too_few_samples_give_no_lag() {
         assert_eq!(
             fit(&[], AT_REST_COUNTS, Encoders::QUBE),
             SwingFit { lag: None, driven_counts: 0.0 }

@@ -21,7 +21,7 @@ const PAUSE_NS: Nanoseconds = 1_000_000;
 /// Time after which a sample counts as lost, ns.
 const PATIENCE_NS: Nanoseconds = 20_000_000;
 
-/// Longest observation of one attempt, ns; it matters only if samples are lost.
+/// Longest observation of one attempt, ns; an attempt is this long only if samples are lost.
 const LONGEST_NS: Nanoseconds = 500_000_000;
 
 /// Largest number of attempts: computer or link may be too slow to see the motor on.
@@ -57,9 +57,10 @@ impl WatchdogTest {
     }
 }
 
-/// Arms the device, sends a small voltage and then nothing more: the motor must go off by the
-/// watchdog. For a board, the device's own report and clock decide. A device without a clock only
-/// reports that its watchdog has expired, and the time is by the computer's clock.
+/// Arms the device, sends one act with a small voltage and then only requests samples: the motor
+/// must go off by the watchdog. For a board, the device's own report and clock decide. A device
+/// without a clock only reports that its watchdog has expired, and the time is by the computer's
+/// clock.
 pub(super) fn check(examined: &mut ExaminedDevice<'_>) -> Result<WatchdogTest, Interruption> {
     for _ in 0..ATTEMPTS {
         examined.ensure_going()?;
@@ -143,7 +144,7 @@ fn try_once(examined: &mut ExaminedDevice<'_>) -> Result<Option<WatchdogTest>, I
             let value = if is_board {
                 format!("motor off {ms:.1} ms after the last act")
             } else {
-                format!("the library calls it expired {ms:.1} ms after the last act")
+                format!("the library reports it expired {ms:.1} ms after the last act")
             };
             let result = CheckResult::pass(NAME, value);
             return Ok(Some(WatchdogTest { result, expired_ms: Some(ms) }));

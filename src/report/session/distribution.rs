@@ -40,9 +40,9 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
     ));
     if search.is_none() {
         page.paragraph(&format!(
-            "It was trained in the distribution {model}, not around the identified Qube, and has no psi: where the \
-             identification has doubts, such a policy competes with those around the identified Qube, and the best in \
-             simulations is kept."
+            "This policy was trained in the distribution {model}, not around the identified Qube, and has no psi: if \
+             the identification has doubts, such a policy competes with the policies around the identified Qube, and \
+             the best in simulations is kept."
         ));
     }
     let directions = distribution.directions().len();
@@ -50,7 +50,7 @@ pub(super) fn add_distribution(page: &mut Page, source: &SessionSource) {
         page.paragraph(&format!(
             "The draws are correlated: {directions} joint deviations, the errors of the fit, move several properties at \
              once. A value that they would move out of its range is put at the end of the range. Each curve shows one \
-             property whatever the others are."
+             property for all values of the others."
         ));
     }
     let nominal = source.settings.plant().nominal();
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn the_section_says_so_where_the_policy_has_no_psi_or_its_profile_is_lost() {
+    fn the_section_mentions_a_policy_without_psi_and_a_lost_profile() {
         let folder = tempfile::tempdir().unwrap();
         let plan = IdentificationSettings::default();
         let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };

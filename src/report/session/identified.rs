@@ -114,7 +114,7 @@ fn add_predictions(page: &mut Page, source: &SessionSource, model: &QubeModel) {
                          voltages alone.",
                         both,
                     );
-                    page.chart("What the model misses", "Recorded minus predicted.", residual);
+                    page.chart("Residual", "Recorded minus predicted.", residual);
                 }
             }
             Err(error) => page.paragraph(&error.to_string()),
@@ -149,8 +149,8 @@ fn add_predictions(page: &mut Page, source: &SessionSource, model: &QubeModel) {
     }
 }
 
-/// Says how many rollouts the table of predictions leaves out, by whether the model was fitted to
-/// them; `None` if it has all of them.
+/// Says how many of the fitted and of the held-out rollouts the table of predictions shows, where
+/// it does not show all; `None` if the table has all rollouts.
 fn left_out(comparable: &BTreeMap<bool, usize>) -> Option<String> {
     let shown = |fitted: bool, words: &str| {
         let count = comparable.get(&fitted).copied().unwrap_or(0);

@@ -84,8 +84,8 @@ fn outcome(source: &SessionSource) -> Vec<String> {
     }
     if source.settings_changed {
         sentences.push(
-            "session.toml was changed after the session began, so that no command can repeat the session, and where this \
-             page draws on the settings, it may not describe the session: restore the file."
+            "session.toml was changed after the session began, so that no command can repeat the session, and parts \
+             of this page that use the settings may not describe the session: restore the file."
                 .into(),
         );
     }
@@ -122,7 +122,7 @@ fn outcome(source: &SessionSource) -> Vec<String> {
 fn add_rollouts(page: &mut Page, source: &SessionSource) {
     page.section("Rollouts");
     if source.rollouts.is_empty() {
-        return page.paragraph("There are none yet.");
+        return page.paragraph("No rollout is recorded so far.");
     }
     let best = ScoredCandidate::best_verified(&source.candidates)
         .map(|index| source.candidates[index].candidate.number);
@@ -211,9 +211,11 @@ fn add_curves(page: &mut Page, source: &SessionSource) {
 fn add_faults(page: &mut Page, source: &SessionSource) {
     page.section("Faults");
     if source.void.is_empty() {
-        page.paragraph("No fault ended a rollout.");
+        page.paragraph("No attempt at a rollout was void.");
     } else {
-        page.paragraph("A fault made these attempts void; a session repeats a void rollout.");
+        page.paragraph(
+            "These attempts were void, after a fault or with ticks missing; a session repeats a void rollout.",
+        );
         let rows: Vec<Vec<Cell>> = source
             .void
             .iter()
@@ -223,7 +225,7 @@ fn add_faults(page: &mut Page, source: &SessionSource) {
                 numbers.into_iter().chain([it.reason.as_str().into()]).collect()
             })
             .collect();
-        page.table(&["candidate", "rollout", "attempt", "fault"], &rows, None);
+        page.table(&["candidate", "rollout", "attempt", "reason"], &rows, None);
     }
     if source.observer_resets > 0 {
         page.paragraph(&format!(
@@ -243,7 +245,7 @@ mod tests {
     use crate::storage::MachineDisk;
 
     #[test]
-    fn a_lost_policy_and_changed_settings_are_told() {
+    fn a_lost_policy_and_changed_settings_are_reported() {
         let folder = tempfile::tempdir().unwrap();
         let path = SessionPaths::new(folder.path()).configuration();
         std::fs::write(path, SessionSettings::quick().to_toml().unwrap()).unwrap();

@@ -19,7 +19,8 @@ const PLACES: usize = 61;
 /// Number of points along each side of the map.
 const SIDE: usize = 31;
 
-/// A session's surrogate of the return over psi, fitted to all returns so far.
+/// A session's surrogate of the return over psi, fitted to all returns so far that inform the
+/// search.
 #[derive(Debug)]
 pub struct SessionSurrogate {
     /// Settings of the search; the entries of their psi are the surrogate's coordinates.
@@ -58,7 +59,8 @@ impl SessionSource {
     /// Fits the surrogate to the candidates' returns.
     ///
     /// # Errors
-    /// The candidates are too few, the strategy has no surrogate, or the data cannot be fitted.
+    /// The candidates are too few, the strategy has no surrogate, a profile cannot be read, or the
+    /// data cannot be fitted.
     pub fn surrogate(&self) -> Result<SessionSurrogate, NoSurrogate> {
         let searched = self.candidates.iter().filter(|it| it.candidate.purpose.is_searched());
         let informing = searched.filter(|it| it.informs_search());
@@ -75,10 +77,10 @@ impl SessionSource {
     }
 }
 
-/// Adds slices of the posterior through the recommended psi, and a map over the two most relevant
-/// entries of psi, or the reason why the session has no surrogate.
+/// Adds slices of the posterior through the recommended psi and, if psi has several entries, a map
+/// over the two most relevant ones; without a surrogate, adds the reason why there is none.
 pub(super) fn add_posterior(page: &mut Page, source: &SessionSource) {
-    page.section("What the search believes");
+    page.section("Surrogate of the return");
     match source.surrogate() {
         Ok(surrogate) => draw(page, &surrogate),
         Err(reason) => page.paragraph(&reason.to_string()),

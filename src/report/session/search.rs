@@ -9,7 +9,7 @@ use crate::session::{Purpose, ScoredCandidate, TakenOutRig};
 /// Adds the returns of all candidates whose policy has a result, and the table of all candidates,
 /// excitations included.
 pub(super) fn add_search(page: &mut Page, source: &SessionSource) {
-    page.section("What the search did");
+    page.section("Search");
     let shown: Vec<&ScoredCandidate> = source
         .candidates
         .iter()
@@ -85,9 +85,9 @@ fn add_table(page: &mut Page, source: &SessionSource) {
     if !rows.is_empty() {
         page.table(&["candidate", "purpose", "mean return", "successes", "psi"], &rows, best);
         page.paragraph(
-            "Purpose: an excitation identifies the Qube; initial candidates are where the search starts; those of the \
-             search follow from the returns so far; the recommended one has the highest expected return; \"N again\" \
-             is candidate N's own policy, run once more; nominal is a policy that was trained on the nominal Qube. \
+            "Purpose: an excitation identifies the Qube; the search starts from the initial candidates; it \
+             proposes the next ones from the returns so far; the recommended one has the highest expected return; \
+             \"N again\" is candidate N's own policy, run once more; nominal is a policy that was trained on the nominal Qube. \
              Psi determines the simulations in which a policy trains.",
         );
     }

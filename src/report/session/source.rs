@@ -20,22 +20,24 @@ use crate::session::{
 };
 use crate::storage::{Disk, SETTINGS_BYTES, checksum_of};
 
-/// Largest number of recordings of each kind beside which the identified Qube is simulated.
+/// Largest number of recordings of each kind that are compared with predictions by the identified
+/// Qube.
 pub(super) const COMPARED: usize = 3;
 
 /// The content of a session's folder; reading writes nothing there.
 #[derive(Debug)]
 pub struct SessionSource {
-    /// Settings in the folder: those with which the session began, unless they were changed.
+    /// Settings in the folder: the session's first settings, unless the file was changed.
     pub(super) settings: SessionSettings,
-    /// Whether the settings in the folder are not those with which the session began.
+    /// True if the settings in the folder differ from the session's first settings.
     pub(super) settings_changed: bool,
-    /// Reason why the file of the best verified policy cannot be run; `None` without a policy and
-    /// where it can.
+    /// Reason why the file of the best verified policy cannot be run; `None` if there is no
+    /// verified policy, or if it can be run.
     pub(super) policy_lost: Option<String>,
     /// State that follows from the ledger's entries.
     pub(super) state: SessionState,
-    /// Profiles that the session identified, each with its number of recordings, in order.
+    /// Profiles that the session identified and that could be read, each with its number of
+    /// recordings, in order.
     pub(super) profiles: Vec<(u32, Profile)>,
     /// Candidates with their verdicts.
     pub(super) candidates: Vec<ScoredCandidate>,
@@ -51,7 +53,7 @@ pub struct SessionSource {
     pub(super) latencies: Latencies,
     /// Number of observer resets in finished rollouts.
     pub(super) observer_resets: u64,
-    /// Motions beside which the identified Qube is simulated.
+    /// Motions that are compared with predictions by the identified Qube.
     pub(super) motions: Vec<ComparedMotion>,
     /// Number of rollouts of policies, without excitations, that have a motion, by whether the last
     /// profile before the end of the search was fitted to the motion.
@@ -62,34 +64,35 @@ pub struct SessionSource {
     pub(super) problems: Vec<String>,
 }
 
-/// An attempt of a rollout that a fault has ended.
+/// An attempt at a rollout that the ledger counts as void.
 #[derive(Debug)]
 pub(super) struct VoidAttempt {
     /// Numbers of its candidate, of the rollout and of the attempt.
     pub(super) attempt: AttemptId,
-    /// The fault, or the reason why the recording does not show it.
+    /// Reason why the attempt is void, or why this reason is unknown.
     pub(super) reason: String,
 }
 
-/// A motion beside which the identified Qube is simulated.
+/// A motion that is compared with predictions by the identified Qube.
 #[derive(Debug)]
 pub(super) struct ComparedMotion {
     /// Name of the rollout.
     pub(super) name: String,
-    /// Whether the last profile before the end of the search was fitted to it.
+    /// True if the last profile before the end of the search was fitted to the motion.
     pub(super) fitted: bool,
-    /// Whether its policy is an excitation.
+    /// True if an excitation drove the motion.
     pub(super) excitation: bool,
     /// The motion.
     pub(super) log: MotionLog,
 }
 
 impl SessionSource {
-    /// Reads a session's folder. Recordings, profiles and curves that cannot be read are left out,
-    /// and the report names them.
+    /// Reads a session's folder. Recordings of finished rollouts, profiles, curves and times of
+    /// trainings that cannot be read are left out, and the report names them.
     ///
     /// # Errors
-    /// The folder is not a session; its settings or its ledger cannot be read.
+    /// The folder is not a session; its settings or its ledger cannot be read; or the ledger has no
+    /// candidate, although candidates have folders.
     pub fn read(disk: &dyn Disk, folder: &Path) -> Result<Self, ReportError> {
         let paths = SessionPaths::new(folder);
         if !disk.exists(&paths.configuration()) {
@@ -134,22 +137,22 @@ impl SessionSource {
         Ok(source)
     }
 
-    /// The best verified policy; `paths` are those of the session.
+    /// The best verified policy; `paths` are the session's paths.
     fn best_policy(&self, paths: &SessionPaths) -> Option<BestPolicy> {
         let candidate = ScoredCandidate::best_verified(&self.candidates)?;
         let number = self.candidates[candidate].candidate.number;
         Some(BestPolicy { candidate, policy: paths.candidate(number).policy() })
     }
 
-    /// Whether the settings in the folder are not those with which the session began. Such a
+    /// Returns whether the settings in the folder differ from the session's first settings. Such a
     /// session can be neither continued nor repeated.
     #[must_use]
     pub fn settings_changed(&self) -> bool {
         self.settings_changed
     }
 
-    /// Whether several rigs share the session. The command line, and not the settings, names the
-    /// rigs of a new session.
+    /// Returns whether several rigs share the session. The command line, and not the settings,
+    /// names the rigs of a new session.
     #[must_use]
     pub fn is_shared(&self) -> bool {
         !self.settings.rigs.is_empty()
@@ -161,8 +164,8 @@ impl SessionSource {
         self.settings.plant()
     }
 
-    /// The reason why the file of the best verified policy cannot be run; `None` without a verified
-    /// policy and where it can.
+    /// The reason why the file of the best verified policy cannot be run; `None` if there is no
+    /// verified policy, or if it can be run.
     #[must_use]
     pub fn policy_lost(&self) -> Option<&str> {
         self.policy_lost.as_deref()
@@ -256,8 +259,8 @@ impl SessionSource {
     }
 
     /// The last profile that was identified before the search ended, or so far if it has not ended;
-    /// the recordings of the verification did not inform this profile. `None` if there is none or
-    /// it could not be read.
+    /// the recordings of the verification did not inform this profile. `None` if there is no such
+    /// profile, or if it could not be read.
     pub(super) fn profile_before_end(&self) -> Option<&(u32, Profile)> {
         self.state.profile_before_end().and_then(|recordings| self.profile_of(recordings))
     }
@@ -273,23 +276,24 @@ impl SessionSource {
         &self.candidates
     }
 
-    /// Whether all rollouts with a result were made in virtual time, so that a repetition of the
-    /// session gives the same bytes; true before the first rollout.
+    /// Returns whether all rollouts with a result were made in virtual time, so that a repetition
+    /// of the session gives the same bytes; true before the first rollout.
     #[must_use]
     pub fn is_of_computed_time(&self) -> bool {
         self.rollouts.iter().all(|(_, view)| view.header.started_unix_ns.is_none())
     }
 
-    /// Whether the session has no further step.
+    /// Returns whether the session has no further step.
     #[must_use]
     pub fn is_finished(&self) -> bool {
         let SessionSettings { extent, identification, .. } = &self.settings;
         next_step(&self.state, extent, identification.as_ref()) == Step::Done
     }
 
-    /// The settings of the search at the proposal of this candidate, or without one the latest
-    /// settings. The search is around the profile that was identified by then; if none was, the
-    /// settings are the session's. `None` if that profile or the first one cannot be read.
+    /// The settings of the search at the proposal of this candidate, or the latest settings if
+    /// `candidate` is `None`. The search is around the latest profile at that time; if there was no
+    /// profile, the settings are the session's. `None` if that profile or the first profile cannot
+    /// be read.
     pub(super) fn search_settings(&self, candidate: Option<u32>) -> Option<SessionSettings> {
         let proposed = candidate.and_then(|it| self.state.candidates().get(it as usize));
         let known = proposed.map_or(self.state.latest_profile(), |it| it.identified_from);
@@ -323,7 +327,8 @@ impl SessionSource {
     }
 }
 
-/// Whether these are not the settings that the first entry of the ledger names.
+/// Returns whether these settings differ from the settings that the first entry of the ledger
+/// names; `false` if it names none.
 fn changed(settings: &[u8], entries: &[Entry]) -> bool {
     match entries.first() {
         Some(Entry::Begun { settings: began, .. }) => *began != checksum_of(settings),
@@ -360,7 +365,7 @@ mod tests {
     use crate::storage::MachineDisk;
 
     #[test]
-    fn settings_that_the_session_did_not_begin_with_are_noticed() {
+    fn settings_changed_after_the_beginning_are_noticed() {
         let begun = [Entry::Begun { settings: checksum_of(b"seed = 1"), chained: true }];
         assert!(!changed(b"seed = 1", &begun));
         assert!(changed(b"seed = 2", &begun));

@@ -15,7 +15,8 @@ const S_PER_MIN: f64 = 60.0;
 /// 1970.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct TimeLine {
-    /// Times at which the Qube was driven: the recordings of all rollouts, also of void attempts.
+    /// Times at which the Qube was driven in real time: all rollouts, also void attempts, from the
+    /// first to the last recorded tick.
     rollouts: Vec<(u64, u64)>,
     /// Times at which policies were trained.
     trainings: Vec<(u64, u64)>,
@@ -51,8 +52,8 @@ impl TimeLine {
         self.trainings.extend(times.iter().map(|it| (it.began_unix_ns, it.ended_unix_ns)));
     }
 
-    /// The times at which something begins or ends, ns since 1970, each with the number of rollouts
-    /// and of trainings that are under way from then on.
+    /// The times at which a rollout or training begins or ends, ns since 1970, each with the number
+    /// of rollouts and of trainings that are under way from then on.
     fn changes(&self) -> Vec<(u64, u32, u32)> {
         let mut events: Vec<(u64, i32, i32)> = Vec::new();
         events.extend(self.rollouts.iter().flat_map(|&(from, to)| [(from, 1, 0), (to, -1, 0)]));
@@ -100,8 +101,8 @@ pub(super) fn add_time_line(page: &mut Page, line: &TimeLine) {
     page.paragraph(&format!(
         "From the beginning of the first training or rollout to the end of the last, {:.1} min passed. The Qube was \
          driven for {:.1} min of these ({:.0} %); during {:.0} % of that time policies were trained. On average \
-         {:.2} trainings were under way, each on one core. Between rollouts the arm returns to its middle and the \
-         pendulum comes to rest, which counts as waiting, and so does the time between an end and a resumption.",
+         {:.2} trainings were under way, each on one core. A rollout counts from its settling to the end of its \
+         braking. Pauses between rollouts count as waiting, and so does the time between an end and a resumption.",
         busy.all_s / S_PER_MIN,
         busy.driven_s / S_PER_MIN,
         percent(busy.driven_s, busy.all_s),
@@ -146,7 +147,7 @@ mod tests {
         };
         let changes = line.changes();
         assert_eq!(changes[0], (0, 0, 2));
-        // One rollout ends as another begins.
+        // A training ends as a rollout begins.
         assert!(changes.contains(&(10 * S, 1, 0)), "{changes:?}");
         assert_eq!(changes.last(), Some(&(26 * S, 0, 0)));
         let busy = TimeLine::busy(&changes);

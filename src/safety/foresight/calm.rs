@@ -22,8 +22,8 @@ const BRAKING_SHARE: f32 = 0.25;
 /// goes over the top, and each turn may throw the arm again.
 const SWINGING: f32 = 2.2;
 
-/// Tests whether the brake keeps the arms of all sixteen particles of a block away from the ends,
-/// so that the simulation of the block may end early.
+/// The test whether the brake keeps the arms of all sixteen particles of a block away from the
+/// ends, so that the simulation of the block may end early.
 ///
 /// An arm passes if its energy or its momentum is too small to reach an end. The energy test is
 /// proven by an argument (`energy_holds`). The momentum test looks no farther than the first swing;
@@ -87,14 +87,15 @@ impl CalmLanes {
         lanes
     }
 
-    /// Whether no arm of the block can reach an end any more; `false` if a state is not a number.
+    /// Returns whether no arm of the block can reach an end from its state on; `false` if a state
+    /// is not a number.
     #[inline(always)]
     pub(super) fn holds(&self, qubes: &QubeLanes, brake: &impl BrakeLaw) -> bool {
         let mut calm = 0;
         for lane in 0..BLOCK {
             let own = qubes.dynamics().ideal.lane(lane);
             let state = qubes.state.lane(lane);
-            // Energy above that of a resting arm with a hanging pendulum.
+            // Energy in addition to the energy of a resting arm with a hanging pendulum.
             let motion_j = own.energy(&state) + own.gravity_torque;
             let energy = self.energy_holds(qubes, brake, lane, &own, motion_j);
             let momentum = self.momentum_holds(lane, &own, &state);
@@ -104,7 +105,7 @@ impl CalmLanes {
         calm == BLOCK as u32
     }
 
-    /// Whether a lane's energy is too small for its arm to reach an end.
+    /// Returns whether a lane's energy is too small for its arm to reach an end.
     ///
     /// Brake and friction only take energy. An arm at an end has at least the energy that spring
     /// and cable store there, with a pendulum that hangs at rest. A late brake may add energy while
@@ -162,12 +163,13 @@ impl CalmLanes {
         dynamics.ideal.torque_per_volt[lane].mul_add(spring, cable)
     }
 
-    /// Whether a lane's arm comes to rest short of the ends after the pendulum has given it all its
-    /// momentum.
+    /// Returns whether a lane's arm comes to rest short of the ends after the pendulum has given it
+    /// all its momentum.
     ///
-    /// Only torques on the arm change the momentum p = (A + q sin^2 a) th' + c cos a a', where A is
-    /// `arm_inertia`, q is `quarter_inertia` and c is `coupling`. At the moment at which the arm
-    /// has all the momentum, its angle lies within r = c / A of th + r sin a.
+    /// Only torques on the arm change the momentum p = (A + q sin^2 a) th' + c cos a a', where th
+    /// is theta, a is alpha, A is `arm_inertia`, q is `quarter_inertia` and c is `coupling`. At the
+    /// moment at which the arm has all the momentum, its angle lies within r = c / A of
+    /// th + r sin a.
     #[inline(always)]
     fn momentum_holds(&self, lane: usize, own: &Dynamics<f32>, state: &State<f32>) -> bool {
         let (sin, cos) = sin_cos(state.alpha);

@@ -1,8 +1,8 @@
 //! Foresight: the brake, simulated in advance for many Qubes that this one may be (particles).
 //!
-//! Reading order: [`Foresight`] tells whether the brake keeps the arm of every particle away from
-//! its stops, `calm` finds the arms that stay away without further simulation, and [`Prediction`]
-//! simulates the particles beside the Qube and compares the motions.
+//! Reading order: [`Foresight`] predicts whether the brake keeps the arm of every particle away
+//! from its stops, `calm` finds the arms that stay away without further simulation, and
+//! [`Prediction`] simulates the particles beside the Qube and compares the motions.
 
 #![allow(
     clippy::needless_range_loop,
@@ -30,18 +30,18 @@ use crate::qube::{
 /// always has another block to compute while the result of one is not ready yet.
 const GROUP: usize = 4;
 
-/// Simulates the brake before it is needed, for every Qube that this one may be: a voltage is held
-/// for some control periods, then the brake takes over. Each of these Qubes is a particle with its
-/// own delay, and its brake acts on the velocities that the estimator would show.
+/// The simulation of the brake before it is needed, for every Qube that this one may be: a voltage
+/// is held for some control periods, then the brake takes over. Each of these Qubes is a particle
+/// with its own delay, and its brake acts on the velocities that the estimator would show.
 ///
 /// The simulation ends at its horizon, and an arm may reach an end later. With a horizon of
 /// 0.5 s this happens: of the arms of Qubes at +-30 % that are then neither calm (`calm.rs`) nor at
 /// an end, one in forty reaches an end within 1.5 s, because a pendulum that comes to rest nearly
 /// upright falls later.
 ///
-/// A block of sixteen particles ends early once none of their arms can reach an end any more, and a
-/// group of 64 particles ends with its last block. Nothing is allocated after [`Self::new`]. The
-/// outlook has the same bits on every instruction set.
+/// A block of sixteen particles ends early once none of their arms can reach an end, and a group of
+/// 64 particles ends with its last block. Nothing is allocated after [`Self::new`]. The outlook has
+/// the same bits on every instruction set.
 #[derive(Clone, Debug)]
 pub struct Foresight<B> {
     brake: B,
@@ -80,7 +80,7 @@ pub struct Ends {
 /// The result of simulating a voltage and the brake after it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outlook {
-    /// Whether the brake keeps every particle's arm short of both ends.
+    /// True if the brake keeps every particle's arm short of both ends.
     pub holds: bool,
     /// Smallest distance of any simulated arm from an end, rad: negative beyond the end, NaN if the
     /// simulation diverged or a voltage was NaN.
@@ -111,12 +111,12 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
     /// frequency.
     ///
     /// # Panics
-    /// Panics if there is no particle, if an end lies on the wrong side of 0, if a number of the
-    /// horizon is 0, if a share of the voltage is outside 0 to 1, or if a delay is longer than
-    /// [`MAX_HISTORY`] control periods.
+    /// Panics if there is no particle, if the ends are not numbers below and above 0, if a number
+    /// of the horizon is 0, if a share of the voltage is not a number from 0 to 1, or if a delay is
+    /// not a number from 0 to [`MAX_HISTORY`] control periods.
     #[must_use]
     pub fn new(particles: &[Particle], brake: B, ends: Ends, horizon: PredictionHorizon) -> Self {
-        assert!(!particles.is_empty(), "no particles");
+        assert!(!particles.is_empty(), "there is no particle");
         assert!(ends.low_rad < 0.0 && ends.high_rad > 0.0, "{ends:?}");
         assert!(horizon.held_periods > 0 && horizon.horizon_periods > 0, "{horizon:?}");
         let count = particles.len();
@@ -174,14 +174,14 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
 
     /// Sets the number of control periods between the last two samples, which is 1 unless samples
     /// were lost. Estimated velocities are differences of angles, so they lag more and are less
-    /// exact where more samples were lost.
+    /// exact after more lost samples.
     pub fn sampled_after(&mut self, periods: u32) {
         self.velocity_quality =
             VelocityQuality::after(periods, &self.filter, self.velocity_error_power);
     }
 
-    /// Takes the velocities of the last sample to be as exact as any, until the next
-    /// [`Self::sampled_after`].
+    /// Assumes that the velocities of the last sample are as exact as without lost samples, until
+    /// the next [`Self::sampled_after`].
     pub fn trust_velocities(&mut self) {
         self.velocity_quality.error_factor = 1.0;
     }
@@ -203,8 +203,7 @@ impl<B: BrakeLaw + Copy> Foresight<B> {
 
     /// Simulates this voltage, V, and the brake after it, from the estimated state and with the
     /// last commands (V, newest first) still on their way. The simulation ends with the first group
-    /// of particles in which an arm reaches an end. Where a voltage is NaN, the outlook does not
-    /// hold.
+    /// of particles in which an arm reaches an end. If a voltage is NaN, the outlook does not hold.
     #[must_use]
     pub fn predict(
         &mut self,
@@ -262,7 +261,7 @@ impl ParticleLanes {
         }
     }
 
-    /// Lengthens `settled` by the periods for which the first voltage is held.
+    /// Lengthens `settled` by the periods after the first for which the voltage is held.
     fn holding(self, held: u32) -> Self {
         Self { settled: self.settled + held - 1, ..self }
     }
@@ -425,7 +424,7 @@ fn observe(
     }
 }
 
-/// The voltages that the brake asks for in a block, V.
+/// The voltages that the brake requests in a block, V.
 #[inline(always)]
 fn brakes(brake: &impl BrakeLaw, seen: &State<Lanes>) -> Lanes {
     let mut commands_v = [0.0; BLOCK];

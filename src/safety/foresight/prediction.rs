@@ -25,8 +25,8 @@ const PLAY_RAD: f64 = 0.025;
 /// allowed in addition to its measured lateness.
 const JITTER_S: f64 = 0.0005;
 
-/// Simulates every particle beside the Qube, ten control periods at a time, and compares the Qube's
-/// motion with theirs.
+/// The simulation of every particle beside the Qube, ten control periods at a time, and the
+/// comparison of the Qube's motion with the particles' motions.
 ///
 /// Nothing is allocated after [`Self::of`]. The result has the same bits on every instruction set.
 #[derive(Clone, Debug)]
@@ -37,11 +37,13 @@ pub struct Prediction {
     velocity_quality: VelocityQuality,
     velocity_error_power: u32,
     level: Level,
-    /// The current run of the particles; `None` before the first sample.
+    /// The current run of the particles; `None` before the first sample, also after
+    /// [`begin_anew`](Self::begin_anew).
     run: Option<Run>,
 }
 
-/// The time since the last restart of the particles from the estimate.
+/// The last restart of the particles from the estimate: its time by the device's clock, us, and the
+/// number of control periods since.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     since_us: u64,
@@ -90,13 +92,14 @@ impl Prediction {
         self.run = None;
     }
 
-    /// Returns how the Qube contradicts the particles, if an angle lies farther from the range of
-    /// the particles' angles than allowed; if both do, the one that lies farther. Takes the
-    /// estimated state of the next sample, its time by the device's clock, us, and the commands
-    /// before it (V, newest first).
+    /// Returns the contradiction, if an angle lies farther outside the range of the particles'
+    /// angles than allowed; if both angles do, the contradiction of the angle that lies farther
+    /// outside. Takes the estimated state of the next sample, its time by the device's clock, us,
+    /// and the commands before it (V, newest first).
     ///
-    /// The first sample and one at an unexpected time are not compared: the result is `None`. The
-    /// particles restart after these, after a sample that contradicts them, and after ten periods.
+    /// The first sample and a sample at an unexpected time are not compared: the result is `None`.
+    /// The particles restart after such a sample, after a sample that contradicts them, and after
+    /// ten periods.
     #[must_use]
     pub fn contradiction(
         &mut self,

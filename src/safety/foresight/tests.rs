@@ -22,7 +22,7 @@ const PREDICTION_HORIZON: PredictionHorizon =
 /// Steps of the reference in a control period.
 const FINE_STEPS: u32 = 20;
 
-/// A state with the commands before it and the one that is asked for.
+/// A state, the commands before it, and the requested voltage.
 #[derive(Clone, Copy, Debug)]
 struct Case {
     state: State<f32>,
@@ -114,8 +114,8 @@ fn clearance_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
     let (high, low) = (f64::from(ENDS.high_rad), f64::from(ENDS.low_rad));
     let mut room = (high - state.theta).min(state.theta - low);
     for period in 0..periods {
-        let asked_v = if period == 0 { case.voltage_v.into() } else { brake.voltage_v(&seen) };
-        commands_v.push(arriving(asked_v));
+        let requested_v = if period == 0 { case.voltage_v.into() } else { brake.voltage_v(&seen) };
+        commands_v.push(arriving(requested_v));
         let newest = (commands_v.len() - 1) as f64;
         for step in 0..FINE_STEPS {
             let step_s = CONTROL_PERIOD_S / f64::from(FINE_STEPS);
@@ -161,8 +161,8 @@ fn it_agrees_with_a_simulation_of_each_particle_alone() {
     assert!(worst < 0.005, "{worst} rad");
 }
 
-/// Tests the velocity of an arm that has accelerated all along, by the estimate after three lost
-/// samples.
+/// Compares the predictions for an accelerating arm from its estimated states with and without
+/// three lost samples.
 #[test]
 fn a_velocity_is_brought_up_to_date_after_lost_samples() {
     let particle = Particle::exact(QubeModel::NOMINAL);
@@ -197,9 +197,9 @@ fn a_velocity_is_brought_up_to_date_after_lost_samples() {
     assert!((mended_rad - true_rad).abs() < 0.01, "{mended_rad} and {true_rad} rad");
 }
 
-/// Looks for states that are accepted before the horizon although the arm reaches an end within
-/// 1.5 s; panics if there is one. Each parameter but gravity has even odds to be at its limit of
-/// +-30 % or inside. Returns the number of states that are accepted early.
+/// Searches for states that are accepted before the horizon although the arm reaches an end within
+/// 1.5 s; panics if there is one. Each parameter except gravity is at its limit of +-30 % with a
+/// probability of one half. Returns the number of states that are accepted early.
 fn search_for_hasty_acceptance(seed: u64, particles: u32) -> u32 {
     let mut draw = Draw::new(seed);
     let mut early = 0;

@@ -5,7 +5,7 @@ use crate::qube::CONTROL_PERIOD_S;
 /// error.
 ///
 /// An estimated velocity is a filtered difference of angles, so it lags. The lag and the error are
-/// larger where samples were lost.
+/// larger after lost samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct VelocityQuality {
     /// Lag behind the angles, s.
@@ -53,7 +53,7 @@ mod tests {
         assert_eq!(after(0, 2), after(1, 2));
         assert_eq!([1, 2, 4].map(|periods| after(periods, 2).error_factor), [1.0, 4.0, 16.0]);
         assert_eq!(after(4, 0).error_factor, 1.0);
-        assert_eq!(after(1, 2), after(1, 0), "consecutive samples");
+        assert_eq!(after(1, 2), after(1, 0), "the power has no effect on consecutive samples");
         let lags = [1, 2, 3, 4].map(|periods| after(periods, 2).lag_s);
         assert!(lags.is_sorted() && lags[0] > 0.005 && lags[3] < 0.022, "{lags:?}");
         assert_eq!(after(1000, 2), after(MAX_PERIODS, 2));

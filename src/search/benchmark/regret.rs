@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn falls_repeats_and_bayrn_beats_chance() {
+    fn regret_never_rises_and_repeats_and_bayrn_beats_random_search() {
         let settings = BayRnSettings { initial_points: 6, ..BayRnSettings::default() };
         let run_beside = |pending, kind, seed| {
             simple_regret(Objective::Branin, kind, &settings, 25, pending, seed).unwrap()

@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quartiles_and_interval_of_known_samples() {
+    fn quartiles_and_interval_of_known_samples_are_exact() {
         let found = quartiles(vec![4.0, 1.0, 3.0, 2.0, 5.0]);
         assert_eq!(found, Quartiles { lower: 2.0, median: 3.0, upper: 4.0 });
         assert_eq!(quartiles(vec![1.0, 2.0]).median, 1.5);

@@ -122,7 +122,7 @@ impl TwoHumped {
     /// Runs one search and returns the expected return of the recommended point.
     ///
     /// # Errors
-    /// The search cannot propose.
+    /// The search cannot propose or recommend.
     pub fn search(self, variant: SearchVariant, seed: u64) -> Result<f64, SearchError> {
         let landscape = Landscape::new(self.dimensions, seed);
         let mut strategy = BayRn::new(

@@ -7,8 +7,8 @@ use crate::rig::{DeviceChoice, RigSettings};
 use crate::session::SessionError;
 use crate::telemetry::DeviceFacts;
 
-/// Binds a real rig to the board that made its first recording. A profile is dropped where the
-/// settings name no board.
+/// Binds a real rig to the board that made its first recording. Drops the profile if the settings
+/// name no board.
 ///
 /// # Errors
 /// The settings name another board.
@@ -23,9 +23,9 @@ pub fn keep_on_board(settings: &mut RigSettings, before: String) -> Result<(), S
     Ok(())
 }
 
-/// Whether the embedded emulated Qube may have made a recording with this device in its header. A
-/// Qube that `emulate` serves at a port with a name of its own is another one. At a port
-/// `/dev/pts/N` it cannot be told from the embedded Qube, which has such a port in real time.
+/// Returns whether the embedded emulated Qube may have made a recording with this device in its
+/// header. A Qube that `emulate` serves at a port with a name of its own is another one. At a port
+/// `/dev/pts/N` it looks the same as the embedded Qube, which has such a port in real time.
 fn may_be_embedded(device: &DeviceFacts) -> bool {
     let is_emulator = device.kind().is_none_or(|kind| kind == EMULATOR_KIND);
     let is_unnamed = |port: &str| port == IN_PROCESS || port.starts_with("/dev/pts/");
@@ -33,12 +33,12 @@ fn may_be_embedded(device: &DeviceFacts) -> bool {
 }
 
 impl Session {
-    /// Binds each real rig to the board that made its first recording in this session, so that no
-    /// other board is driven, and no emulated Qube in its place.
+    /// Binds each real rig to the board that made its first recording in this session, so that the
+    /// session drives neither another board nor the embedded emulated Qube in its place.
     ///
     /// # Errors
-    /// A recording cannot be read, or the settings of a rig are for another board, or for an
-    /// emulated Qube where a real one made the recordings.
+    /// A recording cannot be read, or the settings of a rig are for another board, or for the
+    /// embedded emulated Qube where another device made the recordings.
     pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
         for index in 0..self.rigs.len() {
             let Some(device) = self.first_device(self.number_of(index))? else { continue };
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resumed_session_keeps_its_board_and_trusts_no_profile_that_named_none() {
+    fn a_resumed_session_keeps_its_board_and_drops_a_profile_without_a_board() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("session");
         record(&mut session(&root, None), "/dev/qube");
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn the_embedded_qube_takes_no_place_of_one_at_a_port() {
+    fn the_embedded_qube_does_not_replace_a_qube_at_a_port() {
         for (port, is_other) in [("/tmp/qube", true), (IN_PROCESS, false), ("/dev/pts/3", false)] {
             let folder = tempfile::tempdir().unwrap();
             let root = folder.path().join("session");

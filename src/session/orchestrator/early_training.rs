@@ -1,14 +1,14 @@
-//! Chooses the training that depends on no recording and may begin before the session asks for it.
+//! Chooses the training that depends on no recording and may begin before the session needs it.
 
 use crate::session::{Identification, IdentificationSettings, Purpose, SessionState};
 
-/// A training that the session may ask for later; at most one is needed at a time.
+/// A training that the session may need later; at most one is needed at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct EarlyTraining {
     pub(super) kind: EarlyKind,
     /// Number that its candidate is expected to get.
     pub(super) candidate: u32,
-    /// Whether the training may begin now; otherwise it only goes on if it has begun.
+    /// True if the training may begin; if false, only a training that has begun goes on.
     pub(super) may_begin: bool,
 }
 
@@ -22,9 +22,10 @@ pub(super) enum EarlyKind {
 }
 
 impl EarlyTraining {
-    /// The training that the session may still need: the competitor until the identification is
-    /// sure or refused, or the first candidate is trained, and the baseline while the policy that
-    /// may be the last one is verified.
+    /// Returns the training that the session may need: the competitor until the identification is
+    /// without doubts or refused, or the first candidate is trained, and the baseline from the
+    /// verification of a policy that may be the last one until the baseline is trained or the
+    /// search continues.
     pub(super) fn of(
         state: &SessionState,
         plan: &IdentificationSettings,
@@ -87,12 +88,12 @@ mod tests {
     }
 
     #[test]
-    fn the_competitor_is_needed_until_the_identification_is_sure_or_its_candidate_is_trained() {
+    fn the_competitor_is_needed_until_the_fit_is_without_doubts_or_its_candidate_is_trained() {
         assert_eq!(after(&[]), competitor(1, true));
         let mut entries = vec![proposed(0, Purpose::Excitation)];
         assert_eq!(after(&entries), competitor(1, true));
-        let sure = [&entries[..], &[identified(&[])]].concat();
-        assert_eq!(after(&sure), None);
+        let undoubted = [&entries[..], &[identified(&[])]].concat();
+        assert_eq!(after(&undoubted), None);
         let refused = Entry::NotIdentified { reason: "it does not fit".into() };
         assert_eq!(after(&[&entries[..], &[refused]].concat()), None);
         // A repeated excitation takes the number that the first candidate would have had.

@@ -23,8 +23,8 @@ use crate::session::{
 use crate::storage::{checksum_of, write_whole};
 
 impl Session {
-    /// Guards an emulated Qube as an unidentified one if the session will identify it, because a
-    /// real Qube is unknown before its identification too.
+    /// Guards an emulated Qube as an unidentified one if the session will identify it, because
+    /// before its identification a real Qube is unknown, too.
     pub(super) fn guard_as_unknown(&mut self) {
         if self.settings.identification.is_some() {
             self.rigs[0].settings.unidentified = true;
@@ -69,8 +69,8 @@ impl Session {
         Ok(excitation_after(profile.as_ref(), plant, limit_v, candidate))
     }
 
-    /// Identifies the Qube from its excitations, and again after the search, from the recordings of
-    /// the verification too.
+    /// Identifies the Qube from its excitations, and after the search once more, also from the
+    /// recordings of search and verification.
     pub(super) fn identify(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -78,7 +78,7 @@ impl Session {
         if self.ledger.state().gain_at_end().is_some() {
             return self.take_in_verification(on_event);
         }
-        let data = self.fit_data_told(on_event)?;
+        let data = self.fit_data_reported(on_event)?;
         match self.fitted(&data) {
             Fitted::Found(found) => self.append_profile(*found, on_event),
             Fitted::Unfit(reason) if self.may_excite_again() => {
@@ -100,7 +100,7 @@ impl Session {
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let data = self.fit_data_told(on_event)?;
+        let data = self.fit_data_reported(on_event)?;
         let reason = if data.usable() > self.ledger.state().identification().fitted_recordings() {
             match self.fitted(&data) {
                 Fitted::Found(found) => return self.append_profile(*found, on_event),
@@ -117,7 +117,7 @@ impl Session {
     /// Fits the Qube anew during the search, if more recordings can be fitted than in any fit so
     /// far, and enters the profile, or the reason why there is none, into the ledger.
     fn refit(&mut self, on_event: &mut dyn FnMut(SessionEvent)) -> Result<Refit, SessionError> {
-        let data = self.fit_data_told(on_event)?;
+        let data = self.fit_data_reported(on_event)?;
         let recordings = data.usable();
         if recordings <= self.ledger.state().identification().fitted_recordings() {
             return Ok(Refit::NothingNew);
@@ -137,16 +137,17 @@ impl Session {
         }
     }
 
-    /// Whether another excitation may be recorded because the earlier ones cannot be fitted, or
-    /// because the Qube has contradicted its profile: in all, as many extra excitations are allowed
-    /// as repetitions of a rollout after a fault.
+    /// Returns whether another excitation may be recorded, after excitations that cannot be fitted
+    /// or after the Qube contradicted its profile. A session may record as many extra excitations
+    /// in all as it may repeat a rollout after a fault.
     fn may_excite_again(&self) -> bool {
         let planned = self.settings.identification.unwrap_or_default().excitations;
         let made = self.ledger.state().count_of(Purpose::Excitation);
         made < planned + self.settings.extent.repetitions
     }
 
-    /// Appends the next proposal around the identified Qube, or the end of the search.
+    /// Decides how the search around the identified Qube continues, and appends the next proposal
+    /// or the end of the search. Before a proposal it may fit the Qube anew.
     pub(super) fn decide(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -193,22 +194,23 @@ impl Session {
         }
     }
 
-    /// Fits the Qube anew after it has contradicted its profile. If that gives no new profile,
-    /// proposes another excitation, if one is left; returns whether it did. Under a profile that is
-    /// not trusted the guard would take the Qube for an unknown one and end nearly every swing-up.
+    /// Fits the Qube anew after it has contradicted its profile. If the fit gives no new profile,
+    /// proposes another excitation if one may be recorded. Returns whether it proposed one. Under a
+    /// profile that is not trusted, the guard would treat the Qube as unidentified and end nearly
+    /// every swing-up.
     fn fits_or_excites_again(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<bool, SessionError> {
-        let why = match self.refit(on_event)? {
+        let cause = match self.refit(on_event)? {
             Refit::Found => return Ok(false),
             Refit::Failed(reason) => reason,
-            Refit::NothingNew => "no recording since then can be fitted".to_owned(),
+            Refit::NothingNew => "no new recording can be fitted".to_owned(),
         };
         if !self.may_excite_again() {
             return Ok(false);
         }
-        let reason = format!("the Qube has moved unlike its profile, and {why}");
+        let reason = format!("the Qube has moved unlike its profile, and {cause}");
         on_event(SessionEvent::ExcitationRepeated(&reason));
         let excitation = Proposal::of(Purpose::Excitation, Vec::new());
         self.append_proposal(excitation, on_event).map(|()| true)
@@ -263,7 +265,7 @@ impl Session {
     /// recommended psi minus its mean at the best evaluated psi, or minus the verified return if
     /// the verified policy was trained without psi. Before, it is the highest mean return of a
     /// candidate's policy in simulations of the identified Qube minus the verified return. This
-    /// assumes that another candidate may win back the loss from simulation to reality; a policy
+    /// assumes that another candidate may regain the loss from simulation to reality; a policy
     /// that no candidate has found yet may gain more.
     fn expected_gain(
         &mut self,
@@ -308,15 +310,16 @@ impl Session {
         Ok(data)
     }
 
-    /// Reads these recordings and reports each one that cannot be fitted once.
-    fn fit_data_told(
+    /// Reads the recordings that identify the Qube, and reports once each recording that cannot be
+    /// fitted.
+    fn fit_data_reported(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<FitData, SessionError> {
         let data = self.fit_data()?;
         for it in &data.left_out {
             let (candidate, rollout) = (it.candidate, it.rollout);
-            if self.told_left_out.insert((candidate, rollout)) {
+            if self.reported_left_out.insert((candidate, rollout)) {
                 let reason = it.reason();
                 on_event(SessionEvent::RecordingLeftOut { candidate, rollout, reason: &reason });
             }
@@ -426,7 +429,7 @@ impl FitData {
         self.logs.len() as u32
     }
 
-    /// The reason why nothing can be fitted, if no recording can be.
+    /// The reason why no recording can be fitted.
     fn unfit(&self) -> String {
         match self.left_out.iter().rev().find_map(|it| it.defect) {
             Some(defect) => format!("the recording cannot be fitted: {defect}"),

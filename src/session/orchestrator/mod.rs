@@ -53,16 +53,17 @@ pub struct Session {
     /// Trainings that run beside the rollouts; `None` unless the search proposes while returns are
     /// pending.
     ahead: Option<TrainingAhead>,
-    /// Trainings that began before they were asked for.
+    /// Trainings that began before the session needed them.
     prepared: PreparedTrainings,
-    /// Whether trainings may begin before they are asked for: on this computer, if it has a core
-    /// beside that of the control thread, while a Qube moves in real time.
+    /// True if trainings may begin before the session needs them: on this computer, if it has a
+    /// core beside the control thread's core, while a Qube moves in real time.
     prepares: bool,
     /// Candidates and rollouts of the recordings that were reported as left out of the fit.
-    told_left_out: HashSet<(u32, u32)>,
+    reported_left_out: HashSet<(u32, u32)>,
     /// Rollout that an earlier process gave up; `None` if there is none.
     given_up_before: Option<GivenUpBefore>,
-    /// Index of the rig whose error ended the last run; `None` if no rig's error did.
+    /// Index of the rig at whose opening, doubt or rollout the last run ended early; `None` if it
+    /// ended otherwise.
     ended_by: Option<usize>,
 }
 
@@ -82,10 +83,10 @@ impl Session {
     /// If the ledger of a new session cannot be written, the files of the session are removed.
     ///
     /// # Errors
-    /// The ledger is damaged or cannot be opened, has lost its first line, or belongs to another
-    /// `session.toml`; a profile that the session identified cannot be read or was changed; the
-    /// recording that names the identified board cannot be read; or a candidate's psi does not fit
-    /// the settings.
+    /// The ledger is damaged, cannot be opened or written, has lost its first line, or belongs to
+    /// another `session.toml`; the folder or its `session.toml` cannot be read; a profile that the
+    /// session identified cannot be read or was changed; the recording that names the identified
+    /// board cannot be read; or a candidate's psi does not fit the settings.
     pub fn open(
         folder: SessionFolder,
         settings: SessionSettings,
@@ -122,7 +123,7 @@ impl Session {
             ahead: None,
             prepared: PreparedTrainings::default(),
             prepares: in_real_time && has_another_core,
-            told_left_out: HashSet::new(),
+            reported_left_out: HashSet::new(),
             given_up_before: None,
             ended_by: None,
         };
@@ -143,7 +144,7 @@ impl Session {
         Ok(session)
     }
 
-    /// Names the first rig's profile, if it has one. After the rig's first rollouts the session
+    /// Sets the first rig's profile, if it has one. After the rig's first rollouts the session
     /// reports the drift from this profile.
     #[must_use]
     pub fn with_profile(mut self, profile: Option<Profile>) -> Self {
@@ -151,9 +152,9 @@ impl Session {
         self
     }
 
-    /// Spreads the rollouts of each candidate over these rigs too, each with its
-    /// profile if there is one. The first rig remains the one with which the session was opened.
-    /// The session must not identify its Qube, because an identification describes one Qube.
+    /// Spreads the rollouts of each candidate over these rigs too, each with its profile if there
+    /// is one. The rig with which the session was opened remains the first rig. The session must
+    /// not identify its Qube, because an identification describes one Qube.
     #[must_use]
     pub fn spread_over(
         mut self,
@@ -174,7 +175,7 @@ impl Session {
         self
     }
 
-    /// Runs until the best policy is verified, a fault ends the session, or the operator stops it.
+    /// Runs until the session is complete, an error ends it, or the operator stops it.
     ///
     /// # Errors
     /// The session ends early; finished work is on disk.
@@ -183,8 +184,8 @@ impl Session {
     }
 
     /// Runs until this many candidates of the search have all their rollouts, or the session is
-    /// complete. The session can be resumed afterwards. It must not identify its Qube, because the
-    /// number of rollouts is that of a search without identification.
+    /// complete. The session can be resumed afterwards. It must not identify its Qube, because a
+    /// search around an identified Qube makes another number of rollouts of each candidate.
     ///
     /// # Errors
     /// The errors of [`run`](Self::run).
@@ -290,7 +291,8 @@ impl Session {
         self.rigs[self.rig_in_doubt()].settings.homing.method
     }
 
-    /// Index of the rig whose error ended the last run, or whose void rollout the ledger ends with.
+    /// Index of the rig at which the last run ended early, or whose void rollout the ledger ends
+    /// with; 0 if there is neither.
     fn rig_in_doubt(&self) -> usize {
         let void = self.ledger.state().last_void().and_then(|void| void.rig);
         let void = void.map(|rig| (rig as usize).saturating_sub(1));
@@ -299,8 +301,9 @@ impl Session {
     }
 
     /// Reacts to a doubt that the last entry of the ledger left, even if the session continues on
-    /// another computer: passes it to its rig, which is then examined first. If the operator has
-    /// not acknowledged the doubt, takes the rig out, or ends the session if no other rig remains.
+    /// another computer: passes the doubt to its rig, which is then examined first. If the operator
+    /// has not acknowledged the doubt, takes the rig out, or ends the session if no other rig
+    /// remains.
     fn pass_doubt_to_rig(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -309,8 +312,8 @@ impl Session {
             return Ok(());
         };
         let path = self.recording(attempt);
-        // Without the recording the fault is unknown here; the store of doubts on the computer that
-        // drove the board still has it.
+        // Without the recording the fault is unknown here; the computer that drove the board has
+        // the doubt in its store.
         let Some(recording) = read_on(self.folder.disk(), &path).ok() else { return Ok(()) };
         let Some(doubt) = doubt_of(&recording) else { return Ok(()) };
         let index = rig.map_or(0, |rig| rig as usize - 1);
@@ -324,8 +327,9 @@ impl Session {
         Ok(())
     }
 
-    /// Connects, checks and homes every real Qube before the session waits for any training, so
-    /// that a defect shows at once and not after hours. Does nothing if the session is complete.
+    /// Connects, checks and homes every real Qube that was not taken out, before the session waits
+    /// for any training, so that a defect shows at once and not after hours. Does nothing if the
+    /// session is complete.
     fn connect_early(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
@@ -367,7 +371,7 @@ impl Session {
         self.ledger.entries()
     }
 
-    /// Whether a candidate has been proposed yet.
+    /// Returns whether the session has proposed a candidate.
     #[must_use]
     pub fn has_proposed(&self) -> bool {
         !self.ledger.state().candidates().is_empty()
@@ -449,7 +453,7 @@ impl Session {
     }
 }
 
-/// Whether the candidate has a psi: excitations and the baseline have none.
+/// Returns whether the candidate has a psi: excitations and the baseline have none.
 fn has_psi(candidate: &Candidate) -> bool {
     candidate.purpose.is_searched() || candidate.purpose.verifies()
 }
@@ -462,7 +466,7 @@ fn bound_ledger(folder: &SessionFolder) -> Result<Ledger, SessionError> {
 }
 
 /// Binds a ledger to its settings: the empty ledger of a new session records their checksum; a
-/// ledger that records another checksum than the one of the folder's settings is refused. An empty
+/// ledger that records another checksum than the folder's settings have is refused. An empty
 /// ledger is refused, too, if it is beside candidates, whose policies may have been trained with
 /// other settings, or beside settings that no session wrote, such as a file that was emptied.
 fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError> {
@@ -487,7 +491,8 @@ fn bind(ledger: &mut Ledger, folder: &SessionFolder) -> Result<(), SessionError>
     }
 }
 
-/// Whether these are settings as a session writes them: complete, and in this form.
+/// Returns whether these bytes are settings as a session writes them: complete, and in the same
+/// form.
 fn is_written_by_session(bytes: &[u8]) -> bool {
     let text = std::str::from_utf8(bytes).unwrap_or_default();
     let settings = toml::from_str::<SessionSettings>(text);

@@ -15,8 +15,8 @@ use crate::session::{
 use crate::storage::write_whole;
 
 impl Session {
-    /// Makes the policies of these candidates, or waits for those that train ahead, and enters
-    /// them into the ledger.
+    /// Makes the policies of these candidates, or waits for their trainings that run ahead, and
+    /// enters the candidates into the ledger as trained.
     pub(super) fn train(
         &mut self,
         numbers: &[u32],
@@ -67,7 +67,7 @@ impl Session {
     }
 
     /// Begins the training that depends on no recording and may be needed later, so that it runs
-    /// while the Qube is homed and moves. Stops an earlier one that is not needed any more. Does
+    /// while the Qube is homed and moves. Stops an earlier such training that is not needed. Does
     /// nothing if the session does not identify its Qube, prepares no trainings, or is done.
     pub(super) fn prepare_trainings(&mut self) -> Result<(), SessionError> {
         let prepares = self.prepares && self.next_step() != Step::Done;

@@ -1,4 +1,4 @@
-//! Trains policies that depend on no recording while the Qube is homed and moves, before the
+//! While the Qube is homed and moves, trains policies that depend on no recording, before the
 //! session knows whether it needs them.
 
 use std::sync::Arc;
@@ -13,19 +13,19 @@ use crate::learning::{TrainError, Trained};
 use crate::session::TrainingTime;
 use crate::session::training_time::unix_ns;
 
-/// Longest wait for a result between two looks at the stop flag.
+/// Longest wait for a result between two checks of the stop flag.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// The trainings that have begun before the session asked for them.
+/// The trainings that have begun before the session needed them.
 ///
 /// The trainings leave a core to the control thread and have the lowest priority. They do not
 /// change the session's results: a policy has the same bytes whenever it is trained, and the result
-/// of a training that the session never asks for is dropped. Dropping this value stops the
-/// trainings and waits for their threads.
+/// of a training that the session never needs is dropped. Dropping this value stops the trainings
+/// and waits for their threads.
 #[derive(Default)]
 pub(super) struct PreparedTrainings {
     begun: Vec<Prepared>,
-    /// Threads whose trainings were stopped because nothing needs them any more.
+    /// Threads of the trainings that were stopped because nothing needs them.
     stopped: Vec<JoinHandle<()>>,
 }
 
@@ -41,8 +41,8 @@ struct Prepared {
 pub(super) struct PreparedTraining {
     /// Policy and learning curve, or the reason of the failure.
     pub(super) result: Result<Trained, JobError>,
-    /// Start and end of the training, with its number, which the caller of
-    /// [`PreparedTrainings::take`] gave.
+    /// Start and end of the training, both the time of the stop if the session was stopped first;
+    /// with its number, which the caller of [`PreparedTrainings::take`] gave.
     pub(super) time: TrainingTime,
 }
 
@@ -76,13 +76,13 @@ impl PreparedTrainings {
         }
     }
 
-    /// Whether this training has begun.
+    /// Returns whether this training has begun.
     pub(super) fn has(&self, job: &TrainingJob) -> bool {
         self.begun.iter().any(|prepared| prepared.job == *job)
     }
 
-    /// Waits for the result of a training that has begun. `training` is its number among those of
-    /// its candidate. If `stop` is set first, the result is [`TrainError::Stopped`].
+    /// Waits for the result of a training that has begun. `training` is its number among the
+    /// candidate's trainings. If `stop` is set first, the result is [`TrainError::Stopped`].
     ///
     /// # Panics
     /// Panics if the training panicked, or if it has not begun.
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_training_that_nothing_needs_any_more_is_stopped() {
+    fn a_training_that_nothing_needs_is_stopped() {
         let (endless, needed) = (job(1, 1_000_000), job(2, 1));
         let mut prepared = PreparedTrainings::default();
         prepared.begin(endless.clone());

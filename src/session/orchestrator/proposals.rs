@@ -27,8 +27,8 @@ impl Proposal {
 
 impl Session {
     /// Proposes `count` candidates for this purpose: chooses their points, which are empty for an
-    /// excitation and the baseline, and enters them into the ledger. The purposes `Verification`
-    /// and `Incumbent` have one candidate, whatever `count` is.
+    /// excitation and the baseline, and enters them into the ledger. For the purposes
+    /// `Verification` and `Incumbent` it proposes one candidate, whatever `count` is.
     pub(super) fn propose(
         &mut self,
         count: u32,
@@ -93,8 +93,8 @@ impl Session {
         Ok(())
     }
 
-    /// The surrogate's data set, computed from ledger and recordings and stored nowhere. It lacks a
-    /// candidate whose policy was trained without psi.
+    /// The surrogate's data set, computed from ledger and recordings and stored nowhere. Candidates
+    /// whose policies were trained without psi are not in it.
     pub(super) fn observations(&mut self) -> Result<Vec<Observation>, SessionError> {
         let informing = self.searched()?.filter(ScoredCandidate::informs_search);
         Ok(informing.map(|it| it.observation()).collect())
@@ -109,7 +109,7 @@ impl Session {
         Ok(points.filter(|point| *point != as_identified).collect())
     }
 
-    /// The searched candidate with the highest mean return; in a tie, the one proposed last.
+    /// The searched candidate with the highest mean return; in a tie, the last proposed candidate.
     pub(super) fn incumbent(&mut self) -> Result<Candidate, SessionError> {
         self.searched()?
             .filter_map(|it| Some((it.mean_return()?, it.candidate)))

@@ -64,7 +64,7 @@ impl Session {
         (self.rigs.len() > 1).then_some(index as u32 + 1)
     }
 
-    /// Whether the rig at this index was taken out.
+    /// Returns whether the rig at this index was taken out.
     pub(super) fn is_out(&self, index: usize) -> bool {
         self.ledger.state().is_taken_out(index as u32 + 1)
     }
@@ -162,10 +162,10 @@ impl Session {
         turns
     }
 
-    /// Whether the recording of a turn already exists and is taken over: it was made before a crash
-    /// or a stop, or at the same time as an earlier rollout. An unfinished or unreadable recording,
-    /// cut off by a crash or a loss of power, is put aside, because no entry of the ledger refers
-    /// to it yet.
+    /// Returns whether the recording of a turn already exists and is taken over: it was made before
+    /// a crash or a stop, or at the same time as an earlier rollout. Puts aside a recording that is
+    /// unreadable or unfinished, or void where several rigs share the session; no entry of the
+    /// ledger refers to it.
     fn takes_over(&self, turn: &Turn) -> Result<bool, SessionError> {
         let path = self.recording(turn.attempt);
         let disk = self.folder.disk();
@@ -182,9 +182,9 @@ impl Session {
         };
         let is_due_again = match score_recording(&recording) {
             Verdict::Result { .. } => false,
-            // The rig of a void recording may have been mended or taken out since, where there are
-            // several. A doubt about a real Qube is stored apart from the recordings, so it is not
-            // lost.
+            // If there are several rigs, the rig of a void recording may have been mended or taken
+            // out since the recording. A doubt about a real Qube is stored apart from the
+            // recordings, so it is not lost.
             Verdict::Void { .. } => self.rigs.len() > 1,
             Verdict::Unfinished => true,
         };
@@ -254,9 +254,9 @@ impl Session {
         Ok(())
     }
 
-    /// Whether the Qube, under a policy, has moved unlike its latest profile in a finished rollout
-    /// since the session found that profile. A rig that stays open remembers it; one that is opened
-    /// anew must be told.
+    /// Returns whether the Qube, under a policy, has moved unlike its latest profile in a finished
+    /// rollout since the session found that profile. A rig that stays open distrusts the profile by
+    /// itself; a rig that is opened anew does so after [`Rig::distrust_profile`].
     pub(super) fn has_contradicted_profile(&self) -> bool {
         let state = self.ledger.state();
         if !matches!(state.identification(), Identification::Found { .. }) {
@@ -346,8 +346,8 @@ impl Session {
         }
     }
 
-    /// Enters a recorded rollout into the ledger; returns whether it has a result, so that the next
-    /// rollout is due.
+    /// Enters a recorded rollout into the ledger, unless the rollout is unfinished. Returns whether
+    /// it has a result; only then is the next rollout due.
     fn enter(
         &mut self,
         turn: &Turn,
@@ -378,7 +378,7 @@ impl Session {
                 }
                 self.start_again(turn, reason)?;
             }
-            // The stop request is still set and ends the session; `--resume` repeats the rollout.
+            // The stop request stays set and ends the session; `--resume` repeats the rollout.
             Verdict::Unfinished => {}
         }
         let has_result = matches!(verdict, Verdict::Result { .. });
@@ -391,7 +391,7 @@ impl Session {
     }
 
     /// Starts the rig again after a rollout that could not begin. Nothing of that rollout is on
-    /// disk, so it is the next step again.
+    /// disk, so the rollout is the next step again.
     fn try_again(&mut self, turn: &Turn, error: RigError) -> Result<(), SessionError> {
         if !self.rigs[turn.index].not_begun.may_repeat(&error) {
             return Err(error.into());
@@ -403,7 +403,7 @@ impl Session {
         let span = span_of(self.number_of(turn.index));
         let Some(rig) = &mut self.rigs[turn.index].opened else { return Ok(()) };
         span.in_scope(|| rig.start_again()).map_err(|source| match source {
-            // The operator requested a stop; the fault before it is in the ledger.
+            // The operator requested a stop: the session ends as stopped, not with the fault.
             RigError::Stopped { .. } => SessionError::Stopped,
             source => SessionError::NotStartedAgain {
                 candidate: turn.attempt.candidate,
@@ -423,15 +423,15 @@ impl Session {
         on_event: &mut dyn FnMut(SessionEvent),
     ) {
         let rig = self.number_of(index);
-        let its = &mut self.rigs[index];
-        if its.profile.is_none() {
+        let SessionRig { profile, first_recordings, .. } = &mut self.rigs[index];
+        if profile.is_none() {
             return;
         }
-        its.first_recordings.push(recording);
-        if its.first_recordings.len() == DRIFT_ROLLOUTS
-            && let Some(profile) = its.profile.take()
+        first_recordings.push(recording);
+        if first_recordings.len() == DRIFT_ROLLOUTS
+            && let Some(profile) = profile.take()
         {
-            let drift = Drift::of(&std::mem::take(&mut its.first_recordings), &profile);
+            let drift = Drift::of(&std::mem::take(first_recordings), &profile);
             on_event(SessionEvent::Drift { rig, drift: &drift });
         }
     }

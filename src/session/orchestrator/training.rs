@@ -39,11 +39,11 @@ struct Contest {
     competition: Competition<(Trained, TrainedFor)>,
     /// Times of the trainings that have ended.
     times: Vec<TrainingTime>,
-    /// Whether the policy is written.
+    /// True once the policy is written.
     is_over: bool,
 }
 
-/// Factor on the width of the simulations by which policies around a doubted identification are
+/// Factor on the width of the simulations in which policies around a doubted identification are
 /// compared: an effect that the model lacks makes the Qube differ by more than the fit's errors.
 const DOUBTED_WIDTH: f64 = 2.0;
 
@@ -52,7 +52,7 @@ const DOUBTED_WIDTH: f64 = 2.0;
 struct Entrant {
     /// Index of its contest.
     contest: usize,
-    /// Number of the training among those of its candidate.
+    /// Number of the training among the candidate's trainings.
     training: u32,
     trained_for: TrainedFor,
 }
@@ -66,7 +66,7 @@ pub(super) struct Trainer {
     pub(super) settings: SessionSettings,
     pub(super) identification: Identification,
     pub(super) executor: Arc<dyn Executor>,
-    /// Whether the session runs in real time, so that the times of trainings are written. In
+    /// True if the session runs in real time and therefore writes the times of its trainings. In
     /// virtual time they mean nothing, and the same seed would give other bytes each time.
     pub(super) in_real_time: bool,
 }
@@ -95,9 +95,9 @@ impl Trainer {
         Ok(())
     }
 
-    /// The trainings of a candidate in each round. Around an identified Qube there are several, of
-    /// which the best policy is kept. While the identification is doubted, a policy for an
-    /// unidentified Qube competes with the policies of each candidate, so that no policy around a
+    /// The trainings of a candidate in each round. Around an identified Qube there are as many as
+    /// the settings name, and the best policy is kept. While the identification is doubted, a
+    /// policy for an unidentified Qube competes with these policies, so that no policy around a
     /// doubtful fit is kept where the policy for an unidentified Qube is better in simulations.
     fn trainings(&self, candidate: &Candidate) -> Vec<TrainedFor> {
         if candidate.purpose == Purpose::Baseline {
@@ -174,7 +174,8 @@ impl Trainer {
         failed.map_or(Ok(()), Err)
     }
 
-    /// Enters a training into its contest and, if that decides it, writes the winner's policy.
+    /// Enters a training into its contest and, if this decides the contest, writes the winner's
+    /// policy.
     fn enter(
         &self,
         contest: &mut Contest,
@@ -216,7 +217,7 @@ impl Trainer {
         self.job(candidate, plan.trainings, &[], TrainedFor::Unknown)
     }
 
-    /// The training of the baseline, if it is this candidate.
+    /// The training of the baseline, as the candidate with this number.
     ///
     /// # Errors
     /// The distribution is invalid.
@@ -224,7 +225,7 @@ impl Trainer {
         self.job(candidate, 0, &[], TrainedFor::Nominal)
     }
 
-    /// The training with this number among those of a candidate at this point.
+    /// The training with this number among the trainings of a candidate at this point.
     fn job(
         &self,
         candidate: u32,
@@ -281,9 +282,9 @@ impl Trainer {
         })
     }
 
-    /// The score of a policy of a candidate. Whether the policy succeeds is decided in simulations
-    /// of the identified Qube. Policies are compared in the same simulations or, if the
-    /// identification is doubted, in simulations that are [`DOUBTED_WIDTH`] times as wide.
+    /// The score of a policy of a candidate. Simulations of the identified Qube decide whether the
+    /// policy succeeds. Policies are compared in the same simulations or, if the identification is
+    /// doubted, in simulations that are [`DOUBTED_WIDTH`] times as wide.
     ///
     /// # Errors
     /// The base distribution cannot be simulated.
@@ -362,11 +363,14 @@ mod tests {
         let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
         let settings = settings.around(&plan, &Profile::lab(), &Profile::lab());
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
-        let Ok(Policy::Network(policy)) = Policy::load(&path) else { panic!("a network") };
+        let Ok(Policy::Network(policy)) = Policy::load(&path) else {
+            panic!("the file holds no network")
+        };
         let score = |doubts| trainer(settings.clone(), found(doubts)).score(1, &policy.network);
-        let (sure, doubted) = (score(Vec::new()).unwrap(), score(vec!["play".into()]).unwrap());
-        assert_eq!(sure.compared, sure.scored);
-        assert_eq!(doubted.scored, sure.scored);
+        let undoubted = score(Vec::new()).unwrap();
+        let doubted = score(vec!["play".into()]).unwrap();
+        assert_eq!(undoubted.compared, undoubted.scored);
+        assert_eq!(doubted.scored, undoubted.scored);
         assert!(doubted.compared < doubted.scored - 1.0, "{doubted:?}");
     }
 
@@ -396,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_error_of_a_round_is_its_error() {
+    fn a_round_fails_with_its_first_error() {
         let executor = Arc::new(FailingExecutor);
         let trainer = trainer(SessionSettings::quick(), Identification::None);
         let trainer = Trainer { executor, ..trainer };
@@ -457,7 +461,7 @@ mod tests {
     }
 
     #[test]
-    fn trainings_that_begin_early_are_those_that_the_session_asks_for() {
+    fn the_session_needs_the_trainings_that_begin_early() {
         let plan = IdentificationSettings::default();
         let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
         let lab = Profile::lab();
@@ -467,11 +471,11 @@ mod tests {
         let baseline = candidate(3, Purpose::Baseline, Vec::new());
         let (before, later) = (trainer(settings, Identification::None), trainer(around, doubted));
         let early = before.competitor_for_unknown(plan.excitations).unwrap();
-        for (asked, early) in [(first, early), (baseline, later.baseline(3).unwrap())] {
-            let jobs = (0..).zip(later.trainings(&asked));
-            let mut jobs = jobs
-                .map(|(training, of)| later.job(asked.number, training, &asked.point, of).unwrap());
-            assert!(jobs.any(|job| job == early), "{:?}", asked.purpose);
+        for (needed, early) in [(first, early), (baseline, later.baseline(3).unwrap())] {
+            let mut jobs = (0..).zip(later.trainings(&needed)).map(|(training, trained_for)| {
+                later.job(needed.number, training, &needed.point, trained_for).unwrap()
+            });
+            assert!(jobs.any(|job| job == early), "{:?}", needed.purpose);
         }
     }
 }

@@ -13,15 +13,15 @@ use super::training::Trainer;
 use crate::learning::TrainUpdate;
 use crate::session::{Candidate, SessionError, SessionEvent};
 
-/// Longest wait for a message between two looks at the stop flag.
+/// Longest wait for a message between two checks of the stop flag.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The trainings that run beside the session's thread, as many at a time as the executor can carry
 /// out.
 ///
 /// Trainings begin in the order in which their candidates were added. The order in which they end
-/// changes no result, because the session records a policy only when it needs it. Dropping this
-/// value stops the trainings and waits for their threads.
+/// changes no result, because the session records a policy only when it needs the policy. Dropping
+/// this value stops the trainings and waits for their threads.
 pub(super) struct TrainingAhead {
     trainer: Arc<Trainer>,
     dropped: Arc<AtomicBool>,
@@ -32,7 +32,8 @@ pub(super) struct TrainingAhead {
     threads: Vec<JoinHandle<()>>,
     /// Candidates that [`Self::note`] has seen.
     known: BTreeSet<u32>,
-    /// Candidates whose training is queued or under way, as far as the session's thread has heard.
+    /// Candidates whose training is queued or under way, by the messages that the session's thread
+    /// has read.
     under_way: BTreeSet<u32>,
     failed: BTreeMap<u32, SessionError>,
 }
@@ -98,6 +99,9 @@ impl TrainingAhead {
     ///
     /// # Errors
     /// The training failed, or `stop` is set.
+    ///
+    /// # Panics
+    /// Panics if a training panicked.
     pub(super) fn wait_for(
         &mut self,
         candidate: u32,
@@ -111,7 +115,7 @@ impl TrainingAhead {
             if let Ok(event) = self.events.recv_timeout(POLL_INTERVAL) {
                 self.report(event, on_event);
             }
-            // Other trainings may send events all the time.
+            // This check follows every event, because other trainings may send events all the time.
             self.pass_panic_on();
         }
         self.failed.remove(&candidate).map_or(Ok(()), Err)

@@ -15,8 +15,8 @@ impl Criterion for ExpectedImprovement {
     fn score(&self, mean: f64, deviation: f64) -> CriterionValue {
         let z = (mean - self.incumbent) / deviation;
         CriterionValue {
-            // Computed from the logarithm, because the two terms nearly cancel far below the
-            // incumbent.
+            // The value is computed from its logarithm, because the two terms nearly cancel far
+            // below the incumbent.
             value: deviation * log_improvement(z).exp(),
             d_mean: distribution(z),
             d_deviation: density(z),
@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn derivatives_and_known_values() {
+    fn the_score_has_its_known_values_and_derivatives() {
         let criterion = ExpectedImprovement { incumbent: 2.0 };
         for mean in [-30.0, 0.0, 1.9, 2.5, 9.0] {
             super::super::check_derivatives(&criterion, mean, 0.8);

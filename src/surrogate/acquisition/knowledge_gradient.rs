@@ -13,11 +13,12 @@ use crate::surrogate::normal::{log_density, log_distribution, log_improvement};
 /// points that the caller gives, and the point itself. The maximiser of the posterior mean should
 /// be one of the further points, since it is the current recommendation.
 ///
-/// The search is scored by its recommendation, which maximises the posterior mean. A criterion of
-/// the posterior mean therefore does not reward a single lucky observation, and a second
-/// observation of an uncertain point can be worth more than the observation of a new one. Without
-/// noise and without further points, the knowledge gradient is the expected improvement over the
-/// best posterior mean of the observed points, wherever that mean is above the point's own.
+/// The search is scored by its recommendation, which maximises the posterior mean. An acquisition
+/// function of the posterior mean therefore does not reward a single lucky observation, and a
+/// second observation of an uncertain point can be worth more than the observation of a new one.
+/// Without noise and without further points, the knowledge gradient is the expected improvement
+/// over the best posterior mean of the observed points, wherever that mean is above the point's own
+/// mean.
 ///
 /// After the observation the posterior mean of alternative `i` is `a_i + b_i Z` with a standard
 /// normal `Z`. The expectation of the maximum of these lines is exact, from their upper envelope
@@ -26,7 +27,7 @@ pub struct LogKnowledgeGradient<'a> {
     process: &'a GaussianProcess,
     /// Posterior means at the n observed points and the further alternatives, standardised.
     means: Vec<f64>,
-    /// The further alternatives `a`, each with `K^-1 k(X, a)`, n.
+    /// The further alternatives `p`, each with `K^-1 k(X, p)`, n, for the observed points `X`.
     further: Vec<(Vec<f64>, DVector<f64>)>,
     /// Noise variances of the n observations, standardised.
     noise: DVector<f64>,
@@ -63,7 +64,7 @@ impl<'a> LogKnowledgeGradient<'a> {
             .iter()
             .map(|point| (point.clone(), process.solve(&process.cross(point).values)))
             .collect();
-        // A fantasy has no noise of its own to speak of; the next observation is a real one.
+        // A fantasy has nearly no noise, but the next observation is a real one.
         let mut sorted: Vec<f64> = noise
             .iter()
             .zip(&data.own_noise)
@@ -179,7 +180,7 @@ impl Acquisition for LogKnowledgeGradient<'_> {
     }
 }
 
-/// The upper envelope of lines: those that are the highest at some z, sorted by rising slope.
+/// The upper envelope of lines: the lines that are the highest at some z, sorted by rising slope.
 fn upper_envelope(mut lines: Vec<Line>) -> Vec<Line> {
     lines.sort_by(|a, b| a.slope.total_cmp(&b.slope).then(a.height.total_cmp(&b.height)));
     let mut kept: Vec<Line> = Vec::with_capacity(lines.len());
@@ -211,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn is_the_mean_over_what_the_next_observation_may_be() {
+    fn the_value_is_the_mean_gain_over_the_possible_next_observations() {
         let process = process(0.3);
         let data = process.data();
         let further = [vec![0.9, 15.0], vec![0.45, 28.0]];
@@ -247,19 +248,20 @@ mod tests {
     }
 
     #[test]
-    fn points_that_are_only_believed_do_not_make_the_next_observation_exact() {
+    fn fantasies_do_not_make_the_next_observation_exact() {
         let observed = process(0.3);
-        let mut believed = observed.clone();
+        let mut with_fantasies = observed.clone();
         for k in 0..10 {
             let point = [0.05 + 0.09 * f64::from(k), 29.0 - 1.5 * f64::from(k)];
-            believed = believed.conditioned_on_fantasy(&point, observed.mean(&point)).unwrap();
+            let value = observed.mean(&point);
+            with_fantasies = with_fantasies.conditioned_on_fantasy(&point, value).unwrap();
         }
         let next_noise = |process| LogKnowledgeGradient::new(process, &[]).next_noise;
-        assert_eq!(next_noise(&believed), next_noise(&observed));
+        assert_eq!(next_noise(&with_fantasies), next_noise(&observed));
     }
 
     #[test]
-    fn gradient_is_that_of_finite_differences() {
+    fn the_gradient_equals_finite_differences() {
         for noise_variance in [1e-4, 0.05, 0.8] {
             let process = process(noise_variance);
             let acquisition = LogKnowledgeGradient::new(&process, &[vec![0.5, 25.0]]);
@@ -268,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn without_noise_it_is_the_expected_improvement_of_the_mean() {
+    fn without_noise_the_value_is_the_expected_improvement_of_the_mean() {
         let process = process(1e-9);
         let acquisition = LogKnowledgeGradient::new(&process, &[]);
         let data = process.data();

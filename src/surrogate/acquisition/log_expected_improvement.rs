@@ -2,8 +2,7 @@ use super::{Criterion, CriterionValue};
 use crate::surrogate::normal::{density, distribution, log_density, tail};
 
 /// The natural logarithm of the expected improvement (EI) over an incumbent (Ament et al. 2023).
-/// Its maximum lies at the same point as that of EI, and it has a gradient also where EI underflows
-/// to 0.
+/// It has its maximum at the same point as EI, and has a gradient also where EI underflows to 0.
 #[derive(Clone, Copy, Debug)]
 pub struct LogExpectedImprovement {
     /// Value that is to be exceeded, in the values' units.
@@ -42,7 +41,7 @@ mod tests {
     use crate::surrogate::{Criterion, ExpectedImprovement};
 
     #[test]
-    fn is_the_logarithm_and_goes_on_where_it_ends() {
+    fn the_score_is_the_logarithm_of_the_improvement_also_where_that_underflows() {
         let (log, plain) =
             (LogExpectedImprovement { incumbent: 1.0 }, ExpectedImprovement { incumbent: 1.0 });
         for mean in [-20.0, -3.0, 0.9, 1.0, 4.0] {
@@ -53,7 +52,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives() {
+    fn the_derivatives_equal_finite_differences() {
         let criterion = LogExpectedImprovement { incumbent: 2.0 };
         for mean in [-60.0, -30.0, -9.0, 0.0, 1.15, 1.25, 1.9, 2.5, 9.0] {
             super::super::check_derivatives(&criterion, mean, 0.8);

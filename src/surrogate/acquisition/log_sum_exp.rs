@@ -13,7 +13,7 @@ mod tests {
     use super::log_sum_exp;
 
     #[test]
-    fn of_large_small_and_no_terms() {
+    fn the_sum_is_exact_for_large_small_and_no_terms() {
         assert!((log_sum_exp(&[1000.0, 1000.0]) - 1000.0 - 2f64.ln()).abs() < 1e-12);
         assert!((log_sum_exp(&[-2000.0, -3000.0]) + 2000.0).abs() < 1e-12);
         assert_eq!(log_sum_exp(&[]), f64::NEG_INFINITY);

@@ -1,5 +1,5 @@
 //! Acquisition functions: each rates a point by the benefit of evaluating it next, given the
-//! surrogate. The next point is the one with the largest value. [`PosteriorMean`] alone serves
+//! surrogate. The next point is the point with the largest value. [`PosteriorMean`] alone serves
 //! another purpose: its maximiser is the recommended point.
 
 mod expected_improvement;
@@ -52,7 +52,7 @@ pub trait Criterion {
 /// A criterion's value and derivatives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CriterionValue {
-    /// The value.
+    /// Value, in the criterion's own unit.
     pub value: f64,
     /// Derivative with respect to the mean.
     pub d_mean: f64,

@@ -17,9 +17,9 @@ use crate::surrogate::{GaussianProcess, SurrogateError};
 /// Values at the n observed points are drawn from their joint posterior. Given a draw, the function
 /// is known at these points without noise, and the expected improvement over the largest drawn
 /// value has a closed form (Letham et al. 2019, "Constrained Bayesian optimization with noisy
-/// experiments"). The drawn incumbent carries its uncertainty, which the best posterior mean does
-/// not, and is not biased by luck, as the best observation is. The criterion never proposes to
-/// observe a point a second time, however noisy the first observation was.
+/// experiments"). The draws show how uncertain the best true value is, which the best posterior
+/// mean does not show. Luck biases the best observed value, but not the draws. A second observation
+/// of a point is worth next to nothing here, however noisy the first one was.
 ///
 /// Points that are being evaluated are *pending*: their values are drawn together with those at the
 /// observed points (fantasies; Snoek et al. 2012, `X_pending` of BoTorch), and a new point must
@@ -27,14 +27,14 @@ use crate::surrogate::{GaussianProcess, SurrogateError};
 /// ones pending, they greedily maximise the expected improvement of all of them together (q-noisy
 /// expected improvement; Balandat et al. 2020).
 pub struct LogNoisyExpectedImprovement<'a> {
-    /// Process whose points `X` are the n observed points, followed by the pending points. The
+    /// Process whose points `A` are the n observed points `X`, followed by the pending points. The
     /// values that it has at pending points are not used; the draws replace them.
     process: Cow<'a, GaussianProcess>,
-    /// Factor of the covariance `k(X, X)`, with `noiseless_variance` of the process in place of all
-    /// noise.
+    /// Factor of the covariance `C = k(A, A)`, with `noiseless_variance` of the process in place of
+    /// all noise.
     noiseless: Factor,
-    /// For each draw `f` of the values at `X`: `k(X, X)^-1 (f - m)`, and the largest entry of `f -
-    /// m`, standardised.
+    /// For each draw `f` of the values at `A`: `C^-1 (f - m)`, and the largest entry of `f - m`,
+    /// standardised.
     draws: Vec<(DVector<f64>, f64)>,
 }
 
@@ -48,7 +48,8 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
     /// pending point.
     ///
     /// # Errors
-    /// A pending point lies outside the box, or a covariance cannot be factored.
+    /// A pending point has another dimension than the box or lies outside it, or a covariance
+    /// cannot be factored.
     pub fn new(
         process: &'a GaussianProcess,
         pending: &[Vec<f64>],
@@ -65,13 +66,14 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
         let (mean, root) = posterior_at_data(process)?;
         let fantasies = Fantasies::new(process, pending)?;
         let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let mut normals = |count| DVector::from_fn(count, |_, _| draw(&mut random));
+        let mut draw_normals = |count| DVector::from_fn(count, |_, _| draw(&mut random));
         let mut draws = Vec::with_capacity(2 * PAIRS);
         for _ in 0..PAIRS {
-            let shift = &root * normals(mean.len());
-            let noise = normals(pending.len());
-            for (observed, noise) in [(&mean + &shift, noise.clone()), (&mean - &shift, -noise)] {
-                let values = fantasies.appended_to(observed, &noise);
+            let shift = &root * draw_normals(mean.len());
+            let normals = draw_normals(pending.len());
+            let pair = [(&mean + &shift, normals.clone()), (&mean - &shift, -normals)];
+            for (observed, normals) in pair {
+                let values = fantasies.appended_to(observed, &normals);
                 let best = values.max();
                 draws.push((noiseless.solve(values.as_slice()), best));
             }
@@ -82,7 +84,7 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
     fn evaluate(&self, point: &[f64], computed: Computed) -> (f64, Vec<f64>) {
         let cross = self.process.cross(point);
         let white = self.noiseless.whiten(&cross.values);
-        let (variance, at_rest) = self.process.variance_left(white.norm_squared());
+        let (variance, is_rounding) = self.process.variance_left(white.norm_squared());
         let deviation = variance.sqrt();
         let each: Vec<_> = self
             .draws
@@ -103,12 +105,12 @@ impl<'a> LogNoisyExpectedImprovement<'a> {
         let mut coefficients = DVector::zeros(white.len());
         let mut by_deviation = 0.0;
         for ((log, mean_slope, deviation_slope), (weights, _)) in each.iter().zip(&self.draws) {
-            let share = (log - log_sum).exp() / deviation;
-            coefficients.axpy(share * mean_slope, weights, 1.0);
-            by_deviation += share * deviation_slope;
+            let scaled_share = (log - log_sum).exp() / deviation;
+            coefficients.axpy(scaled_share * mean_slope, weights, 1.0);
+            by_deviation += scaled_share * deviation_slope;
         }
-        if !at_rest {
-            // d deviation = d variance / (2 deviation) = -(K^-1 k)^T dk / deviation.
+        if !is_rounding {
+            // d deviation = d variance / (2 deviation) = -(C^-1 k)^T dk / deviation.
             let solved = self.noiseless.whiten_transposed(white.as_slice());
             coefficients.axpy(-by_deviation / deviation, &solved, 1.0);
         }
@@ -129,7 +131,7 @@ impl Acquisition for LogNoisyExpectedImprovement<'_> {
 /// The distribution of the values at pending points, given noise-free values at the n observed
 /// points: normal, with a mean that is linear in the observed values.
 struct Fantasies {
-    /// For each pending point `p`: `k(X, X)^-1 k(X, p)`, n.
+    /// For each pending point `p`: `k(X, X)^-1 k(X, p)`, n, with the observed points `X`.
     weights: Vec<DVector<f64>>,
     /// Lower triangular root of the covariance of the pending values, standardised.
     root: DMatrix<f64>,
@@ -160,22 +162,22 @@ impl Fantasies {
     /// The drawn values at the observed points, followed by values at the pending points. `normals`
     /// has one standard normal number for each pending point.
     fn appended_to(&self, observed: DVector<f64>, normals: &DVector<f64>) -> DVector<f64> {
-        let noise = &self.root * normals;
+        let shifts = &self.root * normals;
         let means = self.weights.iter().map(|weights| weights.dot(&observed));
         let fantasies: Vec<f64> =
-            means.zip(noise.iter()).map(|(mean, noise)| mean + noise).collect();
+            means.zip(shifts.iter()).map(|(mean, shift)| mean + shift).collect();
         let values = observed.iter().copied().chain(fantasies);
         DVector::from_iterator(observed.len() + self.weights.len(), values)
     }
 }
 
-/// The posterior of the function at the n observed points: its mean above the prior mean, n, and a
+/// The posterior of the function at the n observed points: its mean minus the prior mean, n, and a
 /// root of its covariance, n x n, both standardised.
 ///
 /// With the diagonal matrix `S` of the noise variances and `K = k(X, X) + S`, the mean is `y - m -
 /// S K^-1 (y - m)` and the covariance is `S - S K^-1 S = R (I - R K^-1 R) R` with `R = sqrt S`. The
-/// bracket is well conditioned also where the noise is small. Its eigenvalues lie between 0 and 1;
-/// 1e-9 on its diagonal keeps the small ones above 0 in spite of rounding.
+/// eigenvalues of the bracket lie between 0 and 1, also where the noise is small; 1e-9 on its
+/// diagonal keeps those near 0 above 0 in spite of rounding.
 fn posterior_at_data(
     process: &GaussianProcess,
 ) -> Result<(DVector<f64>, DMatrix<f64>), SurrogateError> {
@@ -206,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn gradient_is_that_of_finite_differences() {
+    fn the_gradient_equals_finite_differences() {
         for noise_variance in [1e-4, 0.05, 0.8] {
             let process = process(noise_variance);
             for pending in [vec![], vec![vec![0.4, 24.0], vec![-0.2, 13.0]]] {
@@ -253,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn beside_a_pending_point_it_is_the_improvement_averaged_over_its_return() {
+    fn beside_a_pending_point_the_value_is_the_improvement_averaged_over_its_return() {
         let process = process(1e-9);
         let incumbent = process.data().largest_value();
         let pending = vec![0.6, 25.0];
@@ -263,14 +265,14 @@ mod tests {
                     .unwrap()
             })
             .collect();
-        let there = process.posterior(&pending);
+        let at_pending = process.posterior(&pending);
         for point in [[0.7, 26.0], [0.5, 23.0], [0.1, 12.0]] {
             // The integral over the return at the pending point, by a sum over its normal
             // distribution.
             let (mut sum, mut weights) = (0.0, 0.0);
             for step in -40..=40 {
                 let z = f64::from(step) / 10.0;
-                let value = there.mean + z * there.deviation();
+                let value = at_pending.mean + z * at_pending.deviation();
                 let given =
                     process.conditioned_on_fantasy(&pending, value).unwrap().posterior(&point);
                 let improvement = LogExpectedImprovement { incumbent: incumbent.max(value) }
@@ -287,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn without_noise_it_is_the_expected_improvement() {
+    fn without_noise_the_value_is_the_expected_improvement() {
         let process = process(1e-9);
         let acquisition = LogNoisyExpectedImprovement::new(&process, &[], 3).unwrap();
         let incumbent = process.data().largest_value();

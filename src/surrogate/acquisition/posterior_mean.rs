@@ -16,7 +16,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn derivatives() {
+    fn the_derivatives_equal_finite_differences() {
         super::super::check_derivatives(&PosteriorMean, 0.3, 0.7);
     }
 }

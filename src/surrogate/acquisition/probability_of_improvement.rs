@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn derivatives_and_logarithm() {
+    fn the_derivatives_equal_finite_differences_and_the_logarithm_is_exact() {
         let (plain, log) = (
             ProbabilityOfImprovement { incumbent: 2.0 },
             LogProbabilityOfImprovement { incumbent: 2.0 },

@@ -19,7 +19,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn derivatives() {
+    fn the_derivatives_equal_finite_differences() {
         let criterion = UpperConfidenceBound { beta: 2.0 };
         super::super::check_derivatives(&criterion, 1.0, 0.5);
         assert_eq!(criterion.score(1.0, 0.5).value, 2.0);

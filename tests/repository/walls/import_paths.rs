@@ -34,8 +34,8 @@ pub fn literals(module: &[String], source: &str) -> Vec<(usize, String)> {
     found
 }
 
-/// Whether a module belongs to the tests. A file of tests is declared under `#[cfg(test)]` in
-/// another file, so it is recognised by its name.
+/// Returns whether a module belongs to the tests. A file of tests is declared under `#[cfg(test)]`
+/// in another file, so it is recognised by its name.
 fn is_of_tests(module: &[String]) -> bool {
     module
         .iter()
@@ -72,7 +72,7 @@ struct Walk {
     imports: Vec<Import>,
     in_tests: bool,
     is_public_use: bool,
-    /// Line of an attribute's text, whose tokens start again at 1.
+    /// Line of an attribute's text, whose tokens count their lines from 1 again.
     line: Option<usize>,
 }
 
@@ -262,7 +262,7 @@ fn item_length(tokens: &[TokenTree]) -> usize {
 }
 
 /// The range of the tokens between `use` and the semicolon of a `use` item with any visibility; the
-/// second index is that of the semicolon.
+/// second index points to the semicolon.
 fn use_item(tokens: &[TokenTree]) -> Option<(usize, usize)> {
     let start = match tokens {
         [first, ..] if is_ident(first, "use") => 1,

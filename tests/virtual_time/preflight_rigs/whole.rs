@@ -78,7 +78,7 @@ const LATER: [(&str, &str, &[Fault]); 4] = [
     ("blocked-arm", "stall", &[Fault::ArmHeld, Fault::Stall]),
 ];
 
-/// Whether a check fails for one reason, under one of these names.
+/// Returns whether a check fails for one reason, under one of these names.
 fn names(told: &[(String, String)], of_the_examination: &str, of_homing: &[Fault]) -> bool {
     match told {
         [(name, value)] if name == "homing" => {
@@ -181,7 +181,7 @@ fn healthy_rigs_pass_the_whole_check_and_give_a_rollout() {
 /// The variables `RIGS` and `SEED` give the number of rigs and the first seed:
 /// `cargo test --test virtual_time many_healthy -- --ignored --nocapture`.
 #[test]
-#[ignore = "minutes"]
+#[ignore = "takes minutes"]
 fn many_healthy_rigs_pass_the_whole_check_and_give_a_rollout() {
     let first = number("SEED", FIRST_SEED);
     healthy_rigs_open(first..first + number("RIGS", 200));
@@ -195,7 +195,7 @@ fn the_whole_check_names_a_single_defect() {
 /// The variables `RIGS` and `SEED` give the number of rigs and the first seed:
 /// `cargo test --test virtual_time many_single -- --ignored --nocapture`.
 #[test]
-#[ignore = "minutes"]
+#[ignore = "takes minutes"]
 fn many_single_defects_are_named_by_the_whole_check() {
     let first = number("SEED", FIRST_SEED);
     single_defects_are_named(first..first + number("RIGS", 200));

@@ -1,5 +1,5 @@
-//! Effects of the configured fault on the emulated board: when the fault begins, and what the board
-//! then reports or no longer does.
+//! Effects of the configured fault on the emulated board: the onset of the fault, and the changes
+//! of the board's reports and actions.
 
 use firmware_protocol::DeviceState;
 use firmware_protocol::scaling::motor_counts;
@@ -19,7 +19,7 @@ pub(super) const RESTART_DARK_US: u64 = 1_000_000;
 const STOP_PRESSED_US: u64 = 2_000_000;
 
 impl Board {
-    /// Whether the port is gone because the cable is pulled or the board has no supply.
+    /// Returns whether the port is gone because the cable is pulled or the board has no supply.
     #[must_use]
     pub fn is_unplugged(&self) -> bool {
         let now_s = self.now_us as f64 * 1e-6;
@@ -42,7 +42,8 @@ impl Board {
         }
     }
 
-    /// Whether the fault flips a bit of the last reply; the owner then flips it on the wire.
+    /// Returns whether the fault flips a bit of the last reply; the owner then flips it on the
+    /// wire.
     #[must_use]
     pub fn garbles_reply(&self) -> bool {
         match self.settings.fault {
@@ -117,13 +118,14 @@ impl Board {
         }
     }
 
-    /// Whether the fault of the settings is of this kind and has begun.
-    pub(super) fn has_begun(&self, which: impl Fn(&EmulatorFault) -> bool) -> bool {
-        self.fault_began && self.settings.fault.as_ref().is_some_and(which)
+    /// Returns whether the fault of the settings is of the kind that `is_kind` accepts, and has
+    /// begun.
+    pub(super) fn has_begun(&self, is_kind: impl Fn(&EmulatorFault) -> bool) -> bool {
+        self.fault_began && self.settings.fault.as_ref().is_some_and(is_kind)
     }
 
-    /// The motor's counts that an armed board drives with, whatever it is told; `None` unless its
-    /// output is stuck.
+    /// Motor command, in the motor's counts, of an armed board that ignores its acts; `None` unless
+    /// its output is stuck.
     pub(super) fn stuck_output_counts(&self) -> Option<i16> {
         match self.settings.fault {
             Some(EmulatorFault::StuckOutput { voltage_v, .. }) if self.fault_began => {
@@ -133,18 +135,18 @@ impl Board {
         }
     }
 
-    /// Whether a disarm has no effect.
+    /// Returns whether a disarm has no effect.
     pub(super) fn ignores_disarm(&self) -> bool {
         self.has_begun(|fault| matches!(fault, EmulatorFault::IgnoredDisarm { .. }))
     }
 
-    /// Whether the board no longer finds its Qube.
+    /// Returns whether the board does not find its Qube.
     pub(super) fn qube_absent(&self) -> bool {
         self.qube_returns_us.is_some()
             || self.has_begun(|fault| matches!(fault, EmulatorFault::QubeAbsent { .. }))
     }
 
-    /// The Qube is switched on again: its counters begin at 0, and the board wants a new hello.
+    /// Switches the Qube on again: its counters begin at 0, and the board needs a new hello.
     pub(super) fn switch_on(&mut self) {
         self.qube_returns_us = None;
         self.plant.advance_to(self.now_us);
@@ -154,7 +156,7 @@ impl Board {
         self.nonce = 0;
     }
 
-    /// Whether the amplifier reports a fault.
+    /// Returns whether the amplifier reports a fault.
     pub(super) fn amplifier_fault(&self) -> bool {
         self.has_begun(|fault| match *fault {
             EmulatorFault::AmplifierFault { .. } => true,
@@ -165,7 +167,7 @@ impl Board {
         })
     }
 
-    /// Whether the emergency stop's switch is closed, which lets the motor run.
+    /// Returns whether the emergency stop's switch is closed, which lets the motor run.
     pub(super) fn stop_is_closed(&self) -> bool {
         match self.settings.fault {
             Some(fault @ EmulatorFault::EmergencyStop { .. }) => {

@@ -14,7 +14,9 @@ fn send(board: &mut Board, request: Request, sequence: u16) -> Option<Reply> {
 fn armed() -> Board {
     let mut board = Board::new(EmulatorSettings::default());
     let hello = Request::Hello { protocol_version: PROTOCOL_VERSION };
-    let Some(Reply::Hello(reply)) = send(&mut board, hello, 1) else { panic!("no reply") };
+    let Some(Reply::Hello(reply)) = send(&mut board, hello, 1) else {
+        panic!("the hello has no reply")
+    };
     let nonce = reply.nonce;
     assert!(matches!(send(&mut board, Request::Arm { nonce }, 2), Some(Reply::Arm { .. })));
     board
@@ -22,7 +24,9 @@ fn armed() -> Board {
 
 /// Takes a sample and sends an act that answers it.
 fn act(board: &mut Board, voltage_mv: i16, sequence: u16) {
-    let Some(Reply::Sample(sample)) = send(board, Request::Sample, 1) else { panic!("no sample") };
+    let Some(Reply::Sample(sample)) = send(board, Request::Sample, 1) else {
+        panic!("the board gives no sample")
+    };
     let sampled_at_us = sample.device_time_us;
     assert_eq!(send(board, Request::Act { voltage_mv, sampled_at_us }, sequence), None);
 }
@@ -41,7 +45,7 @@ fn driving(fault: EmulatorFault) -> Board {
 
 /// The time at which the arm touches a stop, us, and its largest speed before, rad/s; `None` if it
 /// touches no stop before `until_us`.
-fn slam(board: &mut Board, until_us: u64) -> Option<(u64, f64)> {
+fn first_impact(board: &mut Board, until_us: u64) -> Option<(u64, f64)> {
     let mut fastest_rad_s = 0.0_f64;
     for now_us in (100_000..until_us).step_by(500) {
         board.advance_to(now_us);
@@ -59,11 +63,11 @@ fn a_board_that_loses_its_power_leaves_the_last_voltage_at_the_motor() {
     let mut board = driving(EmulatorFault::PowerLoss { after_s: 0.1 });
     assert!(board.is_unplugged());
     assert_eq!(send(&mut board, Request::Sample, 6), None);
-    let (slammed_us, rad_s) = slam(&mut board, 2_000_000).expect("nothing is left to stop it");
-    println!("arm at a stop with {rad_s:.1} rad/s, {} us after the loss", slammed_us - 100_000);
+    let (impact_us, rad_s) = first_impact(&mut board, 2_000_000).expect("the arm reaches a stop");
+    println!("arm at a stop with {rad_s:.1} rad/s, {} us after the loss", impact_us - 100_000);
     assert!(rad_s > 10.0, "{rad_s}");
     board.advance_to(60_000_000);
-    assert_eq!(board.applied_mv(), 4997, "for as long as the Qube has power");
+    assert_eq!(board.applied_mv(), 4997, "the motor has lost its last voltage");
     assert_eq!(board.switched_off_us(), None);
 }
 
@@ -85,13 +89,17 @@ fn a_restart_leaves_the_voltage_until_the_first_frame_and_begins_anew() {
         let boot_id = board.boot_id;
         let counts = (board.plant().theta_counts(), board.plant().alpha_counts());
         board.advance_to(100_000 + dark_us - 1);
-        assert_eq!(board.applied_mv(), 4997, "its watchdog is as dead as the board");
+        assert_eq!(
+            board.applied_mv(),
+            4997,
+            "the watchdog of a board that restarts switched the motor off"
+        );
         assert_eq!(
             send(&mut board, Request::Hello { protocol_version: PROTOCOL_VERSION }, 6),
             None
         );
-        let slammed = slam(&mut driving(fault), 100_000 + dark_us);
-        println!("{fault}: {slammed:?}");
+        let impact = first_impact(&mut driving(fault), 100_000 + dark_us);
+        println!("{fault}: {impact:?}");
         board.advance_to(100_000 + dark_us);
         assert_eq!((board.applied_mv(), board.state()), (0, DeviceState::Idle));
         assert!(!board.is_unplugged());
@@ -99,10 +107,12 @@ fn a_restart_leaves_the_voltage_until_the_first_frame_and_begins_anew() {
         let refusal = Reply::Refusal { refused_type: 3, reason: RefusalReason::NotGreeted };
         assert_eq!(send(&mut board, Request::Sample, 7), Some(refusal));
         let hello = Request::Hello { protocol_version: PROTOCOL_VERSION };
-        let Some(Reply::Hello(reply)) = send(&mut board, hello, 8) else { panic!("no reply") };
+        let Some(Reply::Hello(reply)) = send(&mut board, hello, 8) else {
+            panic!("the hello has no reply")
+        };
         assert_eq!((reply.boot_id, reply.dropped_frames), (boot_id.wrapping_add(1), 0));
         let Some(Reply::Sample(sample)) = send(&mut board, Request::Sample, 9) else {
-            panic!("no sample")
+            panic!("the board gives no sample")
         };
         assert!(sample.device_time_us < 1000 && sample.last_act_sequence == 0);
         let plant = board.plant();
@@ -110,7 +120,7 @@ fn a_restart_leaves_the_voltage_until_the_first_frame_and_begins_anew() {
             sample.theta_counts - plant.theta_counts(),
             sample.alpha_counts - plant.alpha_counts(),
         );
-        assert_ne!(shift, (0, 0), "counts begin anew ({counts:?})");
+        assert_ne!(shift, (0, 0), "the counts continue at {counts:?}");
     }
 }
 
@@ -126,7 +136,11 @@ fn an_act_must_name_the_last_sample_and_soon() {
     send(&mut board, Request::Sample, 3);
     board.advance_to(21_001);
     assert_eq!(acts(&mut board, 1_000), Some(stale));
-    assert_eq!((board.applied_mv(), board.last_command_us()), (0, 0), "it fed the watchdog");
+    assert_eq!(
+        (board.applied_mv(), board.last_command_us()),
+        (0, 0),
+        "a refused act fed the watchdog"
+    );
     send(&mut board, Request::Sample, 4);
     board.advance_to(41_001);
     assert_eq!(acts(&mut board, 21_001), None);
@@ -145,7 +159,7 @@ fn the_watchdog_trips_at_its_instant_however_time_is_cut() {
         board.advance_to(60_000 - 1 + step_us);
         assert_eq!(board.state(), DeviceState::Tripped);
         board.advance_to(2_000_000);
-        // The motor drives from 10 ms to 60 ms and no longer.
+        // The motor drives from 10 ms to 60 ms only.
         let mut reference = EmulatedPlant::new(&EmulatorSettings::default());
         reference.advance_to(10_000);
         reference.set_voltage(3.003);
@@ -171,7 +185,7 @@ fn the_same_seed_gives_the_same_bytes() {
 }
 
 #[test]
-fn a_silent_board_still_has_its_watchdog() {
+fn a_silent_board_has_its_watchdog() {
     let mut board = armed();
     board.settings.fault = Some(EmulatorFault::Silent { after_s: 0.02 });
     act(&mut board, 3000, 3);
@@ -194,7 +208,7 @@ fn a_frozen_arm_encoder_shows_neither_count_nor_speed() {
     let mut seen = |time_us, sequence| {
         board.advance_to(time_us);
         let Some(Reply::Sample(sample)) = send(&mut board, Request::Sample, sequence) else {
-            panic!("no sample")
+            panic!("the board gives no sample")
         };
         (sample.theta_counts, sample.tachometer_counts_s)
     };

@@ -65,10 +65,10 @@ impl Rival for ActiveRandomisation {
             }
             let policy = DescribedPolicy { network, given };
             // The reference motions start from four angles of the arm, rad.
-            let nominal = vec![DVector::zeros(given.space.dimensions()); 2];
+            let prior_means = vec![DVector::zeros(given.space.dimensions()); 2];
             let reference: Vec<_> = [0.08, 0.04, -0.04, -0.08]
                 .iter()
-                .flat_map(|&theta| policy.of(&nominal, theta))
+                .flat_map(|&theta| policy.of(&prior_means, theta))
                 .collect();
             for _ in 0..STEPS {
                 let differs = Discriminator::fit(&reference, &policy.of(&particles, 0.0));
@@ -81,9 +81,9 @@ impl Rival for ActiveRandomisation {
                             let sides = [1.0, -1.0].map(|side| {
                                 given.space.clamped(&(particle + side * DISTANCE * &direction))
                             });
-                            let rewards = policy.of(&sides, 0.0);
+                            let motions = policy.of(&sides, 0.0);
                             let [one, other] = [0, 1]
-                                .map(|side| differs.probability(&rewards[side]).max(1e-6).ln());
+                                .map(|side| differs.probability(&motions[side]).max(1e-6).ln());
                             let scale = (one - other) / (2.0 * DISTANCE * PAIRS as f64);
                             slope += (scale / TEMPERATURE) * direction;
                         }

@@ -5,10 +5,10 @@ use super::simulator::{SampledMotion, simulate};
 use super::summary::{features, parts_of, statistics};
 use crate::learning::TrainError;
 
-/// Number of simulations that the network learns from.
+/// Number of simulated Qubes that the network learns from.
 const SAMPLES: usize = 2000;
 
-/// Number of passes over the simulations.
+/// Number of passes over these Qubes.
 const PASSES: usize = 60;
 
 /// BayesSim (Ramos, Possas and Fox 2019, reference 17 of the thesis): learns the posterior of a

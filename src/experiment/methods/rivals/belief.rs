@@ -27,8 +27,9 @@ enum Written {
 }
 
 impl RivalBelief {
-    /// Draws points whose Qubes can be simulated. A belief that is given by points draws nothing:
-    /// it gives `count` of its points, at even distances in their order, or none if it has none.
+    /// Returns `count` points whose Qubes can be simulated. The points of a distribution are drawn;
+    /// a belief of points returns its own at even distances in their order: some of them if there
+    /// are more than `count`, repetitions if there are fewer, none if it has none.
     pub fn draws(&self, space: &Space, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
         match self {
             Self::Unknown => space.draws(count, random),

@@ -4,7 +4,7 @@ use nalgebra::DVector;
 const STEPS: usize = 300;
 /// Rate of the gradient descent.
 const RATE: f64 = 0.5;
-/// Weight in the loss of half the sum of the squared coefficients, which keeps them small.
+/// Factor in the loss of half the sum of the squared weights; it keeps the weights small.
 const SHRINKAGE: f64 = 0.01;
 
 /// A logistic regression that tells two kinds of feature vectors apart.
@@ -17,7 +17,7 @@ pub struct Discriminator {
 
 impl Discriminator {
     /// Fits the discriminator to feature vectors of both kinds, by gradient descent on the
-    /// cross-entropy. Each kind has half of the weight, however many vectors it has.
+    /// cross-entropy. Each kind counts half in the loss, however many vectors it has.
     pub fn fit(reference: &[DVector<f64>], other: &[DVector<f64>]) -> Self {
         let length = reference.first().map_or(0, DVector::len);
         let all = || reference.iter().chain(other);
@@ -67,7 +67,7 @@ mod tests {
 
     /// Two normal distributions with deviation 1 around -1 and 1 have the log odds 2x.
     #[test]
-    fn the_odds_of_two_normal_kinds_are_the_known_ones() {
+    fn the_odds_of_two_normal_distributions_match_their_formula() {
         let mut random = ChaCha8Rng::seed_from_u64(9);
         let mut around = |mean: f64| -> Vec<DVector<f64>> {
             Gaussian::standard(1)

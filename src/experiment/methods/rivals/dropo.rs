@@ -15,7 +15,7 @@ const TRANSITIONS: usize = 40;
 /// Number of pairs of Qubes that are drawn from a distribution to estimate the mean and covariance
 /// of each transition's end. The Qubes of a pair lie on opposite sides of the mean, so that the
 /// draws have the distribution's mean. There are more pairs than a Qube has coordinates, so that
-/// their sample covariance is not singular.
+/// the sample covariance of the Qubes is not singular.
 const PAIRS: usize = 16;
 
 /// Number of evaluations of the likelihood, rounded up to whole generations of CMA-ES.
@@ -23,7 +23,7 @@ const EVALUATIONS: usize = 3000;
 
 /// Range of the means, in standard deviations of the prior.
 const MEANS: [f64; 2] = [-2.5, 2.5];
-/// Range of the logarithms of the standard deviations, relative to those of the prior.
+/// Range of the logarithms of the standard deviations, relative to the prior's.
 const LOG_DEVIATIONS: [f64; 2] = [-4.0, 0.0];
 
 /// DROPO (Tiboni, Arndt and Kyrki 2023): finds the distribution of simulations under which recorded

@@ -6,7 +6,7 @@ use super::gaussian::{Gaussian, standard_normal};
 /// Range of the logarithms of the standard deviations.
 const LOG_DEVIATIONS: [f64; 2] = [-3.0, 0.7];
 
-/// A trade-off between high scores and a wide distribution, with the rate at which it is sought.
+/// A trade-off between high scores and a wide distribution, with the rate of the steps towards it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TradeOff {
     /// Weight of the divergence from the widest distribution.
@@ -92,11 +92,11 @@ mod tests {
 
     use super::*;
 
-    /// The score is a bowl of width s around 1 in the first coordinate and does not depend on the
-    /// second. The best trade-off has about the mean 1 and the variance weight * s^2 in the first
-    /// coordinate, and the largest deviation of `LOG_DEVIATIONS` in the second.
+    /// The score is a parabola of width s around 1 in the first coordinate and does not depend on
+    /// the second. The best trade-off has about the mean 1 and the variance weight * s^2 in the
+    /// first coordinate, and the largest deviation of `LOG_DEVIATIONS` in the second.
     #[test]
-    fn the_trade_off_is_the_known_one() {
+    fn the_gradient_steps_reach_the_known_optimum() {
         let mut random = ChaCha8Rng::seed_from_u64(2);
         let (weight, width, widest) = (0.25, 0.8_f64, 3.0);
         let mut own = Independent::narrowed(2, 0.3);

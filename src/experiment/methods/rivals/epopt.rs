@@ -5,11 +5,11 @@ use super::transitions::{NOISE, Transition};
 use crate::learning::{TrainError, TrainSettings};
 use crate::replay::MotionLog;
 
-/// Part of an update's trajectories that the policy learns from in the second half of the updates:
+/// Share of an update's trajectories that the policy learns from in the second half of the updates:
 /// those with the lowest returns.
 const WORST_SHARE: f32 = 0.1;
 
-/// Number of particles: points of the space of Qubes that together stand for the belief.
+/// Number of particles: points of the space of Qubes that together represent the belief.
 const PARTICLES: usize = 400;
 
 /// Largest number of transitions in the likelihood.

@@ -35,9 +35,10 @@ const FINGERPRINT: usize = 4;
 const FINGERPRINT_RANGE: [f64; 2] = [-2.0, 2.0];
 
 /// Fingerprint policy optimisation (Paul, Osborne and Whiteson 2019, reference 21 of the thesis):
-/// chooses for each stage of a training the distribution that promises the best policy after the
-/// stage. Bayesian optimisation predicts the return from the distribution and from the fingerprint
-/// of the policy before the stage. The policy with the highest return after any stage is kept.
+/// chooses for each stage of a training, except the first `RANDOM_STAGES`, the distribution with
+/// the highest upper confidence bound of the return after the stage. Bayesian optimisation predicts
+/// the return from the distribution and from the fingerprint of the policy before the stage. The
+/// policy with the highest return after any stage is kept.
 pub struct FingerprintOptimisation;
 
 impl Rival for FingerprintOptimisation {
@@ -61,7 +62,7 @@ impl Rival for FingerprintOptimisation {
         let mut training = StagedTraining::new(&settings, STAGES, given.seed)?;
         let mut data: Vec<Observation> = Vec::new();
         // The policy before the first stage has the fingerprint 0.
-        let mut print = [0.0; FINGERPRINT];
+        let mut fingerprint_before = [0.0; FINGERPRINT];
         let mut best: Option<(f64, Trained)> = None;
         for stage in 0..STAGES {
             let mut random_psi = || -> Vec<f64> {
@@ -74,7 +75,7 @@ impl Rival for FingerprintOptimisation {
             let choices: Vec<Vec<f64>> = (0..CHOICES).map(|_| random_psi()).collect();
             let psi = match stage < RANDOM_STAGES {
                 true => choices[0].clone(),
-                false => highest_ucb(&data, &choices, &print, given.seed),
+                false => highest_ucb(&data, &choices, &fingerprint_before, given.seed),
             };
             let mut shift = DVector::zeros(dimensions);
             for (direction, by) in directions.iter().zip(&psi[1..]) {
@@ -91,11 +92,14 @@ impl Rival for FingerprintOptimisation {
             let network = &trained.network;
             let (_, scores) =
                 scored(network, given.training, given.space, &scoring_points, given.seed);
-            let return_ = scores.iter().sum::<f64>() / scores.len().max(1) as f64;
-            data.push(Observation { point: [&psi[..], &print].concat(), returns: vec![return_] });
-            print = fingerprint(network, given, &scoring_points[..32]);
-            if best.as_ref().is_none_or(|(most, _)| return_ > *most) {
-                best = Some((return_, trained));
+            let mean_return = scores.iter().sum::<f64>() / scores.len().max(1) as f64;
+            data.push(Observation {
+                point: [&psi[..], &fingerprint_before].concat(),
+                returns: vec![mean_return],
+            });
+            fingerprint_before = fingerprint(network, given, &scoring_points[..32]);
+            if best.as_ref().is_none_or(|(most, _)| mean_return > *most) {
+                best = Some((mean_return, trained));
             }
         }
         Ok(best.map(|(_, trained)| trained))
@@ -104,7 +108,12 @@ impl Rival for FingerprintOptimisation {
 
 /// The choice with the highest upper confidence bound of the return after the next stage, for a
 /// policy with this fingerprint; the first choice where the data cannot be fitted.
-fn highest_ucb(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: u64) -> Vec<f64> {
+fn highest_ucb(
+    data: &[Observation],
+    choices: &[Vec<f64>],
+    fingerprint: &[f64],
+    seed: u64,
+) -> Vec<f64> {
     let [least, most] = FINGERPRINT_RANGE;
     let lower = [&LOWER[..], &[least; FINGERPRINT]].concat();
     let upper = [&UPPER[..], &[most; FINGERPRINT]].concat();
@@ -112,7 +121,7 @@ fn highest_ucb(data: &[Observation], choices: &[Vec<f64>], print: &[f64], seed: 
     let process = BayRn::between(&lower, &upper, settings, seed).and_then(|it| it.surrogate(data));
     let Ok(process) = process else { return choices[0].clone() };
     let bound = |psi: &Vec<f64>| {
-        let posterior = process.posterior(&[&psi[..], print].concat());
+        let posterior = process.posterior(&[&psi[..], fingerprint].concat());
         posterior.mean + BETA * posterior.deviation()
     };
     let bounds = choices.iter().map(|psi| (bound(psi), psi));
@@ -155,23 +164,23 @@ fn fingerprint(
 mod tests {
     use super::*;
 
-    /// The return after a stage is highest at a width that the policy's fingerprint decides; the
+    /// The return after a stage is highest at a width that depends on the policy's fingerprint; the
     /// choice must follow the fingerprint.
     #[test]
     fn the_choice_follows_a_known_optimum_that_depends_on_the_policy() {
-        let value = |width: f64, print: f64| 1.0 - (width - 0.5 * print).powi(2);
+        let value = |width: f64, fingerprint: f64| 1.0 - (width - 0.5 * fingerprint).powi(2);
         let mut data = Vec::new();
         for step in 0..36 {
             let width = -1.4 + 1.7 * f64::from(step % 6) / 5.0;
-            let print = -2.0 + 4.0 * f64::from(step / 6) / 5.0;
-            let point = vec![width, 0.0, 0.0, 0.0, print, 0.0, 0.0, 0.0];
-            data.push(Observation { point, returns: vec![value(width, print)] });
+            let fingerprint = -2.0 + 4.0 * f64::from(step / 6) / 5.0;
+            let point = vec![width, 0.0, 0.0, 0.0, fingerprint, 0.0, 0.0, 0.0];
+            data.push(Observation { point, returns: vec![value(width, fingerprint)] });
         }
         let choices: Vec<Vec<f64>> =
             (0..40).map(|it| vec![-1.45 + 0.045 * f64::from(it), 0.0, 0.0, 0.0]).collect();
-        for print in [-1.6, -0.6, 0.4] {
-            let chosen = highest_ucb(&data, &choices, &[print, 0.0, 0.0, 0.0], 1);
-            assert!((chosen[0] - 0.5 * print).abs() < 0.3, "{print}: {chosen:?}");
+        for fingerprint in [-1.6, -0.6, 0.4] {
+            let chosen = highest_ucb(&data, &choices, &[fingerprint, 0.0, 0.0, 0.0], 1);
+            assert!((chosen[0] - 0.5 * fingerprint).abs() < 0.3, "{fingerprint}: {chosen:?}");
         }
     }
 }

@@ -4,8 +4,8 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::elementary::normal_pair;
 
-/// Variance that a fit adds along each coordinate, so that the covariance stays invertible, and the
-/// first one by which a singular covariance is widened.
+/// Variance that a fit adds along each coordinate, so that the covariance stays invertible. The
+/// same number is the first variance by which a factorisation widens a singular covariance.
 const LEAST_VARIANCE: f64 = 1e-8;
 
 /// A normal distribution of several correlated numbers.
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn the_divergence_is_the_textbooks() {
+    fn the_divergence_matches_its_closed_form_in_one_dimension() {
         assert!(correlated().divergence_from(&correlated()).abs() < 1e-12);
         let of = |mean: f64, variance: f64| Gaussian {
             mean: DVector::from_vec(vec![mean]),

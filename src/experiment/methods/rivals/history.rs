@@ -3,9 +3,9 @@ use super::rival::{Data, Rival, RivalInput};
 use crate::learning::{TrainError, TrainSettings};
 use crate::qube::MAX_HISTORY;
 
-/// Trains one policy for all Qubes of the prior. The policy observes as many of its last commands
-/// as an observation holds, so that it can tell the Qubes apart while it acts. The method takes no
-/// real rollout.
+/// A rival that trains one policy for all Qubes of the prior. The policy observes as many of its
+/// last commands as an observation holds, so that it can tell the Qubes apart while it acts. The
+/// method takes no real rollout.
 pub struct LongHistory;
 
 impl Rival for LongHistory {

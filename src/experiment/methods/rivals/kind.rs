@@ -28,7 +28,7 @@ pub enum RivalKind {
     /// Learns the posterior of the Qube given rollouts, round by round
     /// (Muratore et al., CoRL 2021).
     Npdr,
-    /// Widens the distribution as far as the policy still earns a high return in it, without real
+    /// Widens the distribution as far as the policy earns a high return in it, without real
     /// rollouts (Mozifian et al., reference 11).
     Lsdr,
     /// Chooses the distribution of each part of a training by Bayesian optimisation (Paul et al.,
@@ -72,7 +72,7 @@ impl RivalKind {
         }
     }
 
-    /// Whether the rival takes no real rollout.
+    /// Returns whether the rival takes no real rollout.
     #[must_use]
     pub fn needs_no_rollouts(self) -> bool {
         self.rival().data() == Data::None

@@ -87,7 +87,7 @@ impl<'a> FromRival<'a> {
     }
 
     /// The first `recordings` recordings. A recording is left out if it is void or has fewer than
-    /// two samples from the time in which the policy or excitation had the motor.
+    /// two samples from the time in which the policy or excitation drove the motor.
     fn demonstrations(&self, recordings: u32) -> Result<Vec<Demonstration>, ExperimentError> {
         let mut demonstrations = Vec::new();
         for number in 0..recordings {
@@ -217,8 +217,8 @@ impl Recommendations for FromRival<'_> {
     }
 
     fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
-        let asked = steps;
-        let steps = if self.rival.data() == Data::None { 0 } else { asked };
+        let requested_steps = steps;
+        let steps = if self.rival.data() == Data::None { 0 } else { requested_steps };
         if self.run.access.works() {
             make(&self.run.folder)?;
             for number in self.complete..steps {
@@ -233,7 +233,7 @@ impl Recommendations for FromRival<'_> {
             OnDisk::Missing => Recommended::NotOnDisk,
             OnDisk::Found(belief) => {
                 let recommendation = self.recommendation(&belief, steps);
-                self.train_own_policy(&recommendation, asked)?;
+                self.train_own_policy(&recommendation, requested_steps)?;
                 Recommended::Found(Box::new(recommendation))
             }
         })

@@ -21,8 +21,8 @@ const FIRST_WIDTH: f64 = 0.3;
 const TRADE_OFF: TradeOff = TradeOff { weight: 0.02, widest: 1.5, rate: 1.0 };
 
 /// Learnt domain randomisation (LSDR, Mozifian et al. 2019, reference 11 of the thesis): widens the
-/// distribution of simulations as far as the policy still earns a high return in it, without any
-/// real rollout.
+/// distribution of simulations as far as the policy earns a high return in it, without any real
+/// rollout.
 pub struct Lsdr;
 
 impl Rival for Lsdr {

@@ -13,11 +13,11 @@ const COMPONENTS: usize = 4;
 /// Number of samples of a gradient step.
 const BATCH: usize = 64;
 
-/// Bound on a standardised feature: hardly any simulation lies beyond it, so a larger value tells
-/// nothing more.
+/// Bound on a standardised feature: hardly any simulation lies beyond it, so a larger value adds no
+/// information.
 const FARTHEST_FEATURE: f64 = 5.0;
 
-/// One in this many samples is held out to choose the weights of the network.
+/// One in this many samples is held out, to choose between the networks after the passes.
 const HELD_OUT_EVERY: usize = 10;
 
 /// Adam's learning rate in the first and the last step.
@@ -120,9 +120,9 @@ impl MixtureDensity {
                     moments.step(own, gradient, rate, step);
                 }
             }
-            let now = loss(&network, &held_out);
-            if held_out.is_empty() || now < least {
-                (least, best) = (now, network.clone());
+            let current = loss(&network, &held_out);
+            if held_out.is_empty() || current < least {
+                (least, best) = (current, network.clone());
             }
         }
         best
@@ -168,12 +168,12 @@ impl MixtureDensity {
             let share = weights[index] / batch.len() as f64;
             mixture.loss_gradient(&targets[index], share, errors.column_mut(column).as_mut_slice());
         }
-        let behind = |layer: &Layer, errors: &DMatrix<f64>, hidden: &DMatrix<f64>| {
+        let back_propagated = |layer: &Layer, errors: &DMatrix<f64>, hidden: &DMatrix<f64>| {
             (layer.weight.transpose() * errors)
                 .zip_map(hidden, |error, active| error * (1.0 - active * active))
         };
-        let errors_2 = behind(last, &errors, &hidden_2);
-        let errors_1 = behind(second, &errors_2, &hidden_1);
+        let errors_2 = back_propagated(last, &errors, &hidden_2);
+        let errors_1 = back_propagated(second, &errors_2, &hidden_1);
         let layer = |errors: &DMatrix<f64>, input: &DMatrix<f64>| Layer {
             weight: errors * input.transpose(),
             bias: errors.column_sum(),
@@ -358,7 +358,9 @@ mod tests {
         let weights = [1.0, 0.4];
         let mut network = MixtureDensity::fit(&inputs, &targets, &weights, 2, 1);
         let loss = |network: &MixtureDensity| {
-            let of = |i: usize| -weights[i] * network.mixture(&inputs[i]).log_density(&targets[i]);
+            let of = |sample: usize| {
+                -weights[sample] * network.mixture(&inputs[sample]).log_density(&targets[sample])
+            };
             0.5 * (of(0) + of(1))
         };
         let gradient = network.gradient(&[0, 1], &inputs, &targets, &weights);
@@ -376,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_too_few_to_hold_one_out_are_learned() {
+    fn all_samples_are_learned_where_too_few_exist_to_hold_one_out() {
         let (inputs, targets) =
             ([vector(&[0.3]), vector(&[-1.2])], [vector(&[0.5]), vector(&[-0.7])]);
         let density = |passes| {
@@ -411,7 +413,7 @@ mod tests {
 
     /// x = theta^2 + noise: given x = 1, theta is near -1 or near 1, and nowhere between.
     #[test]
-    fn a_posterior_with_two_humps_has_both() {
+    fn a_posterior_with_two_peaks_has_both() {
         let mut random = ChaCha8Rng::seed_from_u64(6);
         let targets = Gaussian::standard(1).draws(3000, &mut random);
         let features: Vec<DVector<f64>> = targets

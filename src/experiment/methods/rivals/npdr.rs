@@ -10,10 +10,10 @@ use super::space::Space;
 use super::summary::{parts_of, statistics};
 use crate::learning::TrainError;
 
-/// Number of simulations that the network learns from.
+/// Number of simulated Qubes that the network learns from.
 const SAMPLES: usize = 2000;
 
-/// Number of passes over the simulations.
+/// Number of passes over these Qubes.
 const PASSES: usize = 60;
 
 /// Largest number of recordings whose statistics the posterior is given.
@@ -78,8 +78,8 @@ struct Proposed {
 
 impl Proposed {
     /// Draws `count` points, or fewer if hardly any draw lies within the ranges. A draw beyond them
-    /// is dropped: cut off, all such draws would gather at the ends, where no density describes
-    /// them.
+    /// is dropped, because clamping would gather all such draws at the ends, where no density
+    /// describes them.
     fn draw(space: &Space, proposal: &Gaussian, count: usize, random: &mut ChaCha8Rng) -> Self {
         let (mut points, mut tries) = (Vec::new(), 0);
         while points.len() < count && tries < TRIES * count {
@@ -95,7 +95,7 @@ impl Proposed {
 
 /// Adds the proposed points to the points of the prior, and returns the importance weights of all:
 /// the density of the prior divided by the density of the mixture of prior and proposal, each cut
-/// off at the ranges. With these weights the points are as if drawn from the prior.
+/// off at the ranges. With these weights the points represent the prior.
 fn importance(
     space: &Space,
     proposal: &Gaussian,
@@ -121,11 +121,11 @@ mod tests {
     use crate::qube::PlantModel;
 
     #[test]
-    fn weighted_points_are_as_if_drawn_from_the_prior() {
+    fn weighted_points_have_the_moments_of_the_prior() {
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let space = Space::of_unknown(&PlantModel::QUBE);
         let lowest = space.clamped(&DVector::from_element(space.dimensions(), -4.0));
-        // Two of the nonidealities, which cannot be negative, are believed to be about 0.
+        // The proposal has two of the nonidealities, which cannot be negative, near 0.
         let ends: Vec<usize> = (0..lowest.len()).filter(|&it| lowest[it] > -2.0).take(2).collect();
         assert_eq!(ends.len(), 2, "{lowest}");
         let mut proposal = Gaussian::standard(space.dimensions());
@@ -142,7 +142,7 @@ mod tests {
         let equal = vec![1.0; prior.len()];
         let (found, expected) =
             (Gaussian::of_points(&points, &weights), Gaussian::of_points(&prior, &equal));
-        // Both are estimates, with errors of some 0.01.
+        // Both are estimates, with errors of about 0.01.
         assert!((&found.mean - &expected.mean).amax() < 0.04, "{}", found.mean);
         assert!(
             (&found.covariance - &expected.covariance).amax() < 0.06,

@@ -67,7 +67,7 @@ mod tests {
                 .map(|_| standard_normal(1, &mut random)[0])
                 .flat_map(|draw| [[2.0 + draw], [2.0 - draw]])
                 .collect();
-            // Of a real end at the mean, the log density is -ln(deviation).
+            // The log density of a real end at the mean is -ln(deviation).
             let variance = (-2.0 * of_transition(&[2.0], &ends, &[1e-9])).exp();
             total += variance;
         }
@@ -75,10 +75,10 @@ mod tests {
         assert!((mean - 1.0).abs() < 0.06, "{mean}");
     }
 
-    /// The end of each transition is slope times input, and every transition had a slope of its
-    /// own, drawn from N(2, 0.5^2): the most likely distribution is that one.
+    /// The end of each transition is slope times input. Every transition has a slope of its own,
+    /// drawn from N(2, 0.5^2), so this is the most likely distribution.
     #[test]
-    fn the_most_likely_distribution_is_the_one_that_made_the_data() {
+    fn the_most_likely_distribution_is_the_distribution_of_the_data() {
         let mut random = ChaCha8Rng::seed_from_u64(8);
         let mut normal = || standard_normal(1, &mut random)[0];
         let inputs: Vec<f64> = (0..300).map(|_| normal()).collect();

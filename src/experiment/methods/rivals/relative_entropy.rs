@@ -8,12 +8,12 @@ const LOG_TEMPERATURES: [f64; 2] = [-9.0, 9.0];
 /// Number of steps of the golden section that finds the temperature.
 const SECTIONS: usize = 60;
 
-/// Number of halvings of the interval that finds the largest allowed step.
+/// Number of halvings by which bisection finds the largest allowed step.
 const HALVINGS: usize = 40;
 
 /// The weights of samples by episodic relative entropy policy search (Peters, Mülling and Altün
-/// 2010): of all weights whose divergence from equal weights is at most `bound` (in nats), those
-/// with the lowest expected cost. The weights sum to 1.
+/// 2010): the weights with the lowest expected cost whose divergence from equal weights is at most
+/// `bound` (in nats). The weights sum to 1.
 pub fn weights(costs: &[f64], bound: f64) -> Vec<f64> {
     let least = costs.iter().copied().fold(f64::INFINITY, f64::min);
     let count = costs.len() as f64;
@@ -94,9 +94,9 @@ mod tests {
         assert_eq!(weights(&[2.0; 4], 1.0), [0.25; 4]);
     }
 
-    /// The minimum of a bowl is known, and no step may be longer than the bound.
+    /// The minimum of a quadratic cost is known, and no step may be longer than the bound.
     #[test]
-    fn bounded_steps_arrive_at_the_bottom_of_a_bowl() {
+    fn bounded_steps_reach_the_minimum_of_a_quadratic_cost() {
         let bottom = DVector::from_vec(vec![1.5, -2.0, 0.5]);
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let mut gaussian = Gaussian::standard(3);

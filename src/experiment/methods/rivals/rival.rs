@@ -9,7 +9,7 @@ use super::space::Space;
 use crate::learning::{TrainError, TrainSettings, Trained};
 use crate::simulation::SimulationSettings;
 
-/// Number of Qubes, drawn from a belief, that stand for it in training.
+/// Number of Qubes, drawn from a belief, that represent it in training.
 pub const POINTS: usize = 256;
 
 /// The purpose of random numbers that follow from a rival's seed.
@@ -17,7 +17,7 @@ pub const POINTS: usize = 256;
 pub enum Draws {
     /// Draws of the method itself.
     Method = 1,
-    /// Qubes that stand for a belief in training.
+    /// Qubes that represent a belief in training.
     Points = 2,
 }
 
@@ -72,13 +72,14 @@ impl<'a> RivalInput<'a> {
     }
 
     /// A generator of the random numbers of the method itself. Networks, optimisers and trainings
-    /// that the method begins with `seed` draw others.
+    /// that the method begins with `seed` draw other numbers.
     pub fn random(&self) -> ChaCha8Rng {
         random(self.seed, Draws::Method)
     }
 }
 
-/// A method from the literature that turns real rollouts into a distribution of simulations.
+/// A method from the literature that learns a distribution of simulations from real rollouts or
+/// without any, or trains in a way of its own.
 pub trait Rival {
     /// The kind of real rollouts that the rival learns from.
     fn data(&self) -> Data;

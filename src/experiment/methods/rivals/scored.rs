@@ -25,10 +25,10 @@ pub fn scored(
         .returns
         .iter()
         .enumerate()
-        .filter_map(|(number, return_)| {
+        .filter_map(|(number, policy_return)| {
             let drawn = Trajectory::draw(&distribution, seed, number as u64).model;
             let index = models.iter().position(|model| *model == drawn)?;
-            Some((points[index].clone(), return_ / MAX_STEPS as f64))
+            Some((points[index].clone(), policy_return / MAX_STEPS as f64))
         })
         .unzip()
 }

@@ -72,8 +72,8 @@ fn side_by_side(
 ) -> Vec<SampledMotion> {
     let recorded = SampledMotion::recorded(log);
     let Some(&first) = recorded.states.first() else { return Vec::new() };
-    // A rollout begins at rest: velocities that the filter still shows come from the last edge of
-    // an encoder.
+    // A rollout begins at rest: the filter shows a velocity there only after the last edge of an
+    // encoder.
     let start = State { theta_dot: 0.0, alpha_dot: 0.0, ..first };
     let (mut policy, simulation) = match policy {
         Some(policy) => {

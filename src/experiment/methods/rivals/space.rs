@@ -15,11 +15,11 @@ const FARTHEST: f64 = 4.0;
 
 /// The coordinates in which rivals learn about a Qube: one for each quantity that varies in the
 /// distribution `robust`, and one for each damping, which `robust` does not vary. The prior of each
-/// coordinate has mean 0 and standard deviation 1. These two stand for the quantity's mean and
-/// standard deviation in `robust`, in proportion to the plant; for a damping they stand for its
-/// nominal value and a factor of e. Parameters count by their logarithms, so that none becomes
-/// negative; nonidealities are bounded to values that can be simulated. A quantity that the plant
-/// lacks has no coordinate.
+/// coordinate is the standard normal distribution, cut off at the values that can be simulated. Its
+/// mean 0 and standard deviation 1 before the cut stand for the quantity's mean and standard
+/// deviation in `robust`, in proportion to the plant; for a damping they stand for its nominal
+/// value and a factor of e. Parameters count by their logarithms, so that none becomes negative. A
+/// quantity that the plant lacks has no coordinate.
 #[derive(Clone, Debug)]
 pub struct Space {
     nominal: QubeModel,
@@ -98,7 +98,7 @@ impl Space {
         DVector::from_iterator(self.dimensions(), self.coordinates.iter().map(entry))
     }
 
-    /// Whether the Qube at a point can be simulated as it is.
+    /// Returns whether the Qube at a point can be simulated as it is.
     pub fn contains(&self, point: &DVector<f64>) -> bool {
         let mut entries = self.coordinates.iter().zip(point.iter());
         entries.all(|(coordinate, entry)| {
@@ -122,8 +122,8 @@ impl Space {
         (0..count)
             .map(|_| {
                 let mut point = standard_normal(self.dimensions(), random);
-                // An entry beyond its range is drawn again: cut off, all such entries would gather
-                // at the end.
+                // An entry beyond its range is drawn again, because clamping would gather all such
+                // entries at the end of the range.
                 while !self.contains(&point) {
                     let again = standard_normal(self.dimensions(), random);
                     for (index, coordinate) in self.coordinates.iter().enumerate() {
@@ -159,8 +159,8 @@ impl Coordinate {
     }
 }
 
-/// The distribution of simulations that draws one of the Qubes at these points; `None` if a Qube
-/// cannot be simulated.
+/// The distribution of simulations that draws one of the Qubes at these points, or without points
+/// the nominal Qube; `None` if a Qube cannot be simulated.
 pub fn distribution_of(space: &Space, points: &[DVector<f64>]) -> Option<DomainDistribution> {
     let models = points.iter().map(|point| space.model(point)).collect();
     DomainDistribution::of_specimens(models).ok()
@@ -184,10 +184,10 @@ mod tests {
         let space = Space::of_unknown(&PlantModel::QUBE);
         assert_eq!(space.dimensions(), 14);
         let mut random = ChaCha8Rng::seed_from_u64(1);
-        let wild: Vec<DVector<f64>> =
+        let far_points: Vec<DVector<f64>> =
             (0..200).map(|_| 9.0 * standard_normal(14, &mut random)).collect();
-        assert!(distribution_of(&space, &wild).is_some());
-        for point in &wild {
+        assert!(distribution_of(&space, &far_points).is_some());
+        for point in &far_points {
             let there = space.point(&space.model(point));
             assert!((there - space.clamped(point)).norm() < 1e-9);
         }

@@ -10,7 +10,7 @@ const PART: usize = 100;
 /// seconds. The statistics are of the changes, from step to step, of theta, its rate, alpha and its
 /// rate: mean, variance, and mean product with the voltage. Angles are in rad. Simulated angles are
 /// rounded to the plant's encoders, because recorded angles are. Rates are differences of angles
-/// over two steps, in rad a step, so that a filter of recorded velocities plays no part. A part
+/// over two steps, in rad a step, so that a filter of recorded velocities has no effect. A part
 /// that the motion did not reach has zeros.
 pub fn statistics(motion: &SampledMotion, encoders: Encoders, parts: usize) -> Vec<f64> {
     let rounded = |angle_rad: f64, encoder: Encoder| {

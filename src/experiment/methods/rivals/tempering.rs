@@ -16,8 +16,8 @@ const STAGES: usize = 40;
 
 /// Particles of the posterior, weighted in stages (tempering). Each stage takes the largest part of
 /// the log likelihood that leaves half of the particles effective, draws particles by these
-/// weights, and moves each a little. A single stage would leave one particle where the data say
-/// much.
+/// weights, and moves each a little. A single stage would leave one particle if the data are
+/// informative.
 pub fn posterior_particles(
     mut particles: Vec<DVector<f64>>,
     log_likelihood: impl Fn(&DVector<f64>) -> f64,
@@ -61,17 +61,17 @@ fn effective_part(logs: &[f64], rest: f64) -> f64 {
     if is_effective(rest) {
         return rest;
     }
-    let (mut enough, mut too_much) = (0.0, rest);
+    let (mut allowed, mut too_large) = (0.0, rest);
     for _ in 0..50 {
-        let middle = 0.5 * (enough + too_much);
+        let middle = 0.5 * (allowed + too_large);
         if is_effective(middle) {
-            enough = middle;
+            allowed = middle;
         } else {
-            too_much = middle;
+            too_large = middle;
         }
     }
     // A stage must take a part above 0, or it would achieve nothing.
-    enough.max(1e-6 * rest)
+    allowed.max(1e-6 * rest)
 }
 
 /// Weights that sum to 1, in proportion to the likelihood to the power of `part`.
@@ -85,8 +85,8 @@ fn weights_of(logs: &[f64], part: f64) -> Vec<f64> {
     logs.iter().map(|log| weight(log) / total).collect()
 }
 
-/// Draws as many indices as there are weights, each about as often as its weight demands, by one
-/// random number (systematic resampling).
+/// Draws as many indices as there are weights, each in proportion to its weight, by one random
+/// number (systematic resampling).
 fn resampled(weights: &[f64], random: &mut ChaCha8Rng) -> Vec<usize> {
     let offset: f64 = random.random();
     let count = weights.len() as f64;
@@ -105,8 +105,8 @@ fn resampled(weights: &[f64], random: &mut ChaCha8Rng) -> Vec<usize> {
 
 /// The logarithm of the density of Student's t distribution with `degrees` degrees of freedom,
 /// without its constant, at a difference in standard deviations. Its tails are heavy: one large
-/// difference, such as that of an upright pendulum that falls to the other side, does not outweigh
-/// the others.
+/// difference, such as the error of an upright pendulum that falls to the other side, does not
+/// outweigh the others.
 pub fn log_student(standardised: f64, degrees: f64) -> f64 {
     -0.5 * (degrees + 1.0) * (standardised * standardised / degrees).ln_1p()
 }
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn an_impossible_particle_dies_out() {
+    fn most_particles_leave_an_impossible_region() {
         let mut random = ChaCha8Rng::seed_from_u64(4);
         let log = |point: &DVector<f64>| if point[0] > 0.0 { 0.0 } else { f64::NAN };
         let prior = Gaussian::standard(1).draws(400, &mut random);

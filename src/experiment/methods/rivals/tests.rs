@@ -1,5 +1,5 @@
-//! Tests of rivals on known simulated Qubes: motions of Qubes that a rival believes in must
-//! resemble the known Qube's more than those of the prior.
+//! Tests of rivals on known simulated Qubes: motions of Qubes from a rival's belief must resemble
+//! the known Qube's motion more than motions of Qubes from the prior do.
 
 use std::sync::atomic::AtomicBool;
 
@@ -62,10 +62,10 @@ fn shipped_policy() -> Network {
 
 /// A swing-up of a Qube by the shipped policy.
 fn rollout_of(model: QubeModel, simulation: &SimulationSettings, theta: f64) -> Demonstration {
-    let blank = Demonstration::of_policy(&shipped_policy(), &PlantModel::QUBE, theta);
-    let motion = simulate(&blank, simulation, &[model]).remove(0);
+    let template = Demonstration::of_policy(&shipped_policy(), &PlantModel::QUBE, theta);
+    let motion = simulate(&template, simulation, &[model]).remove(0);
     let log = log_of(motion.states.into_iter().zip(motion.voltages_v));
-    Demonstration { log, ..blank }
+    Demonstration { log, ..template }
 }
 
 /// Number of Qubes drawn to compare a belief with another.

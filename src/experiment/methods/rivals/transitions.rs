@@ -3,8 +3,8 @@ use std::ops::Range;
 use crate::qube::{QubeModel, State};
 use crate::replay::{MotionLog, simulate_stretch};
 
-/// Length of a transition in samples: 0.1 s, in which the pendulum moves by more than the encoders'
-/// resolution.
+/// Length of a transition in steps of 10 ms: 0.1 s, in which the pendulum moves by more than the
+/// encoders' resolution.
 const STEPS: usize = 10;
 
 /// Number of samples on either side of a sample over which its velocities are differences of

@@ -29,7 +29,7 @@ pub struct FromUniversalPolicy<'a> {
     /// Candidates of the first recordings, which are known to be complete.
     candidates: Candidates,
     /// Policy, trained when it is first needed. No file stores the policy, because the same seed
-    /// trains the same one again.
+    /// trains the same policy again.
     policy: OnceCell<UniversalPolicy>,
 }
 
@@ -174,7 +174,7 @@ impl Candidates {
         self.0.len() as u32
     }
 
-    /// The observations of the first `count` candidates, without those of void rollouts.
+    /// The observations of the first `count` candidates, without void rollouts.
     fn evaluated(&self, count: u32) -> Vec<Observation> {
         let observation = |candidate: &Evaluated| {
             let returns = vec![candidate.return_?];
@@ -234,13 +234,13 @@ mod tests {
         let best = |count: usize| {
             data[..count].iter().map(Observation::mean_return).fold(f64::MIN, f64::max)
         };
-        // Twenty rollouts are few for 14 inputs; hundreds find them.
+        // Twenty rollouts are too few to find 14 inputs; 700 rollouts find them.
         assert!(best(20) >= best(1) && best(20) < 480.0, "{}", best(20));
         assert!(best(700) > 499.0, "{}", best(700));
     }
 
     #[test]
-    fn a_void_rollout_teaches_the_search_nothing_and_the_next_candidate_is_another() {
+    fn the_search_ignores_a_void_rollout_and_proposes_another_point() {
         let mut search = CmaEs::between(&[-REACH; 14], &[REACH; 14], 3).unwrap();
         let mut data = Candidates::default();
         let mut points = Vec::new();
