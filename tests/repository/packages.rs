@@ -121,18 +121,23 @@ fn installer_and_package_make_the_groups_and_the_user_that_rules_and_unit_name()
         let text = read(script).replace("\\\n", " ");
         // Without `--system`, `adduser` only makes a user a member of a group.
         let makes = |commands: [&str; 2], name: &str| {
-            text.lines().any(|line| {
+            text.lines().find_map(|line| {
                 let words = line.split_whitespace();
                 let made: Vec<&str> =
                     words.skip_while(|word| !commands.contains(word)).skip(1).collect();
-                made.contains(&"--system") && made.contains(&name)
+                (made.contains(&"--system") && made.contains(&name)).then_some(made)
             })
         };
         for group in &groups {
-            assert!(makes(["groupadd", "addgroup"], group), "{script} does not make {group}");
+            let made = makes(["groupadd", "addgroup"], group);
+            assert!(made.is_some(), "{script} does not make {group}");
         }
         let user = setting("User=");
-        assert!(makes(["useradd", "adduser"], user), "{script} does not make {user}");
+        let made = makes(["useradd", "adduser"], user);
+        let made = made.unwrap_or_else(|| panic!("{script} does not make {user}"));
+        // The program remembers a doubt about a Qube below the user's home.
+        let home = ["--home", setting("WorkingDirectory=")];
+        assert!(made.windows(2).any(|words| words == home), "{script}: {made:?}");
     }
 }
 
