@@ -150,8 +150,8 @@ impl Board {
     pub(super) fn switch_on(&mut self) {
         self.qube_returns_us = None;
         self.plant.advance_to(self.now_us);
-        self.theta_shift = -self.plant.theta_counts();
-        self.alpha_shift = -self.plant.alpha_counts();
+        self.theta_shift = -self.sense(EmulatorFault::FlippedTheta) * self.plant.theta_counts();
+        self.alpha_shift = -self.sense(EmulatorFault::FlippedAlpha) * self.plant.alpha_counts();
         self.leave_armed(DeviceState::Idle);
         self.nonce = 0;
     }

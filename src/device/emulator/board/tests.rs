@@ -226,3 +226,25 @@ fn an_emergency_stop_may_come_later_than_the_clock_can_count() {
     assert!(matches!(send(&mut board, hello, 1), Some(Reply::Hello(_))));
     assert_eq!(board.state(), DeviceState::Greeted);
 }
+
+#[test]
+fn a_qube_that_is_switched_on_again_counts_from_0_on_any_wiring() {
+    for inverted in [false, true] {
+        let mut board = armed();
+        board.settings.wiring.theta_inverted = inverted;
+        board.settings.wiring.alpha_inverted = inverted;
+        for (at_us, sequence) in [(10_000, 3), (40_000, 4), (80_000, 5)] {
+            board.advance_to(at_us);
+            act(&mut board, 5000, sequence);
+        }
+        board.advance_to(100_000);
+        board.switch_on();
+        let hello = Request::Hello { protocol_version: PROTOCOL_VERSION };
+        assert!(matches!(send(&mut board, hello, 6), Some(Reply::Hello(_))));
+        let Some(Reply::Sample(sample)) = send(&mut board, Request::Sample, 7) else {
+            panic!("the board gives no sample")
+        };
+        assert_ne!(board.plant().state().theta, 0.0, "the arm has not moved");
+        assert_eq!((sample.theta_counts, sample.alpha_counts), (0, 0), "inverted: {inverted}");
+    }
+}
