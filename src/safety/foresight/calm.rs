@@ -110,7 +110,7 @@ impl CalmLanes {
     /// Brake and friction only take energy. An arm at an end has at least the energy that spring
     /// and cable store there, with a pendulum that hangs at rest. A late brake may add energy while
     /// the arm's velocity changes sign: at most the work of the full voltage for as long as the
-    /// brake is late, at the largest velocity that the energy allows.
+    /// brake is late, at the largest velocity that the energy of motion, spring and cable allows.
     #[inline(always)]
     fn energy_holds(
         &self,
@@ -122,7 +122,7 @@ impl CalmLanes {
     ) -> bool {
         let theta = qubes.state.theta[lane];
         let spring = brake.potential_v_rad(theta - self.middle[lane]);
-        let most_j = own.torque_per_volt.mul_add(spring, motion_j);
+        let most_j = own.torque_per_volt.mul_add(spring, motion_j + cable_j(qubes, lane, theta));
         // The arm's effective inertia is smallest while the pendulum hangs or is upright, because
         // the pendulum then gives way most.
         let lightest = own.arm_inertia - own.coupling * own.coupling / own.pendulum_inertia;
@@ -158,9 +158,7 @@ impl CalmLanes {
         let potential = brake.potential_v_rad(out);
         let beyond = against.mul_add(potential, -(dead_zone * out));
         let spring = if out > 0.0 { beyond } else { towards * potential };
-        let stretch = theta - dynamics.cable_rest[lane];
-        let cable = 0.5 * dynamics.cable_stiffness[lane] * stretch * stretch;
-        dynamics.ideal.torque_per_volt[lane].mul_add(spring, cable)
+        dynamics.ideal.torque_per_volt[lane].mul_add(spring, cable_j(qubes, lane, theta))
     }
 
     /// Returns whether a lane's arm comes to rest short of the ends after the pendulum has given it
@@ -186,4 +184,12 @@ impl CalmLanes {
         let low = centre - recoil - down - SLACK_RAD;
         (high < self.ends.high_rad) & (low > self.ends.low_rad)
     }
+}
+
+/// Energy that the cable of a lane's arm stores at this angle, J.
+#[inline(always)]
+fn cable_j(qubes: &QubeLanes, lane: usize, theta: f32) -> f32 {
+    let dynamics = qubes.dynamics();
+    let stretch = theta - dynamics.cable_rest[lane];
+    0.5 * dynamics.cable_stiffness[lane] * stretch * stretch
 }

@@ -305,8 +305,8 @@ fn a_state_that_is_not_a_number_does_not_hold() {
     }
 }
 
-/// Tests the argument by which an arm need not be simulated on once its energy is too small to
-/// reach an end.
+/// Tests the argument that an arm whose energy is too small to reach an end need not be simulated
+/// further, and the bound on its velocity.
 #[test]
 fn a_brake_that_is_not_late_takes_energy_from_every_qube() {
     let mut draw = Draw::new(1003);
@@ -323,9 +323,15 @@ fn a_brake_that_is_not_late_takes_energy_from_every_qube() {
                 + 0.5 * dynamics.cable_stiffness * stretch * stretch
         };
         let mut state: State = case.state.into();
+        // The arm is fastest where its motion has all the energy, with a pendulum that gives way.
+        let most_j = energy_j(&state) + dynamics.ideal.gravity_torque;
+        let ideal = &dynamics.ideal;
+        let lightest = ideal.arm_inertia - ideal.coupling * ideal.coupling / ideal.pendulum_inertia;
+        let fastest = (2.0 * most_j / lightest).sqrt();
         for _ in 0..20_000 {
             let next = runge_kutta_4(&dynamics, state, brake.voltage_v(&state), 1e-5);
             assert!(energy_j(&next) <= energy_j(&state) + 1e-7, "{state:?} of {particle:?}");
+            assert!(next.theta_dot.abs() <= fastest + 1e-6, "{next:?} of {particle:?}");
             state = next;
         }
     }
