@@ -20,7 +20,7 @@ pub enum SessionError {
     Stopped,
     /// A rollout was void as often as allowed.
     #[error(
-        "rollout {rollout} of candidate {candidate} was ended by a fault {tries} times, last: {reason}. \
+        "rollout {rollout} of candidate {candidate} was void {attempts} times, last: {reason}. \
          The motor is off; look at the Qube"
     )]
     GivenUp {
@@ -28,9 +28,9 @@ pub enum SessionError {
         candidate: u32,
         /// Number of the rollout.
         rollout: u32,
-        /// Number of attempts that were allowed.
-        tries: u32,
-        /// Last fault.
+        /// Number of attempts, all of which were void.
+        attempts: u32,
+        /// Reason why the last attempt was void.
         reason: String,
     },
     /// A fault ended a rollout, and the Qube could not be restarted.

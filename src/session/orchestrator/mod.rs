@@ -440,8 +440,7 @@ impl Session {
     }
 
     fn given_up(&mut self, candidate: u32, rollout: u32) -> SessionError {
-        let tries = self.settings.extent.repetitions + 1;
-        // The attempts of rigs that were taken out count too, so there may be more than `tries`.
+        // The attempts of rigs that were taken out count too.
         let attempts = self.ledger.state().candidates()[candidate as usize].void;
         let last = AttemptId { candidate, rollout, attempt: attempts.saturating_sub(1) };
         let last = score(self.folder.disk(), &self.recording(last));
@@ -449,7 +448,7 @@ impl Session {
             Ok(Verdict::Void { reason }) => reason.to_string(),
             Ok(_) | Err(_) => "its recording cannot be read".into(),
         };
-        SessionError::GivenUp { candidate, rollout, tries, reason }
+        SessionError::GivenUp { candidate, rollout, attempts, reason }
     }
 }
 
