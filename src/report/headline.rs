@@ -80,8 +80,10 @@ fn headline(settings: &ExperimentSettings, results: &Results, plant: &str) -> St
     );
     if rows.len() < all {
         let have = if rows.len() == 1 { "has" } else { "have" };
-        sentence
-            .push_str(&format!(" Only {} of {all} {what}s {have} all policies there.", rows.len()));
+        sentence.push_str(&format!(
+            " Only {} of {all} {kind}s {have} the returns of all policies there.",
+            rows.len()
+        ));
     }
     sentence
 }
@@ -234,7 +236,7 @@ mod tests {
         assert!(told[0].starts_with("On lab, the recipe nominal has a mean return: 200.0 of"));
         assert!(
             told[0].ends_with(
-                "0 of its 2 policies succeed. Only 1 of 2 recipes has all policies there."
+                "0 of its 2 policies succeed. Only 1 of 2 recipes has the returns of all policies there."
             )
         );
         assert!(told[1].starts_with(
