@@ -105,6 +105,9 @@ impl TryFrom<Written> for RivalBelief {
                 Self::Gaussian(Gaussian { mean: DVector::from_vec(mean), covariance })
             }
             Written::Points(points) => {
+                if points.is_empty() {
+                    return Err("there is no point: the file is damaged".to_owned());
+                }
                 if let Some(other) = points.iter().find(|point| point.len() != points[0].len()) {
                     return Err(format!(
                         "one point has {} entries, and another has {}: the file is damaged",
@@ -139,12 +142,13 @@ mod tests {
     }
 
     #[test]
-    fn a_belief_of_another_length_than_its_own_is_refused() {
+    fn a_belief_without_points_or_with_unequal_numbers_of_coordinates_is_refused() {
         for text in [
             r#"{"gaussian":{"mean":[1.0,0.1],"covariance":[2.0,0.3,0.3]}}"#,
             r#"{"gaussian":{"mean":[1.0,0.1],"covariance":[2.0,0.3,0.3,1.0,0.0]}}"#,
             r#"{"gaussian":{"mean":[],"covariance":[1.0]}}"#,
             r#"{"points":[[0.1,2.0],[0.1]]}"#,
+            r#"{"points":[]}"#,
         ] {
             let refused = serde_json::from_str::<RivalBelief>(text).unwrap_err().to_string();
             assert!(refused.contains("the file is damaged"), "{refused}");

@@ -14,7 +14,7 @@ use crate::jobs::JobError;
 use crate::policy::Policy;
 use crate::recording;
 use crate::replay::{MotionLog, MotionLogError};
-use crate::session::{SeedFor, derived_seed};
+use crate::session::{FolderError, SeedFor, derived_seed};
 use crate::storage::{Disk, MachineDisk, write_whole};
 
 /// Numbers of recordings after which a rival that learns from rollouts trains a policy for further
@@ -95,7 +95,10 @@ impl<'a> FromRival<'a> {
             let log = match MotionLog::read(&path) {
                 Ok(log) => log,
                 Err(MotionLogError::Recording(error)) => return Err(error.into()),
-                Err(_) => continue,
+                Err(MotionLogError::Read { path, source }) => {
+                    return Err(FolderError::Io { path, source }.into());
+                }
+                Err(MotionLogError::NeverRan { .. } | MotionLogError::Csv { .. }) => continue,
             };
             // An excitation has no network.
             let policy = match Policy::from_bytes(&recording::read(&path)?.policy) {
