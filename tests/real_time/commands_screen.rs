@@ -13,7 +13,7 @@ use crate::shared::{PATIENCE, isolate, say_skipped};
 /// Time after which a program that has ended shows nothing more.
 const ENDED: Duration = Duration::from_secs(5);
 
-/// A tmux server of its own with one window of 80 letters by 24 rows, in which a shell runs.
+/// A tmux server of its own with one window of 80 columns and 24 rows, in which a shell runs.
 struct Tmux {
     socket: String,
 }
@@ -153,7 +153,7 @@ fn a_run_shows_its_rollouts_reacts_to_keys_and_leaves_the_terminal_clean() {
             rules.count() == 1 && shown.contains("ticks late") && shown.contains("space stop now")
         };
         while !fits(&tmux.shown()) {
-            assert!(begun.elapsed() < PATIENCE, "it keeps its old form:\n{}", tmux.shown());
+            assert!(begun.elapsed() < PATIENCE, "the screen keeps its old form:\n{}", tmux.shown());
             std::thread::sleep(Duration::from_millis(50));
         }
         let shown = tmux.shown();
@@ -193,46 +193,49 @@ fn a_run_shows_its_rollouts_reacts_to_keys_and_leaves_the_terminal_clean() {
 
 #[test]
 fn signals_and_suspension_leave_the_terminal_clean() {
-    in_real_time(|| {
-        let directory = tempfile::tempdir().unwrap();
-        let Some(tmux) = Tmux::start(directory.path()) else { return };
-        let signal = |name: &str| {
-            let process = "ps -o pid= -o comm= --ppid";
-            let shell = tmux.value("#{pane_pid}");
-            let command =
-                format!("kill -{name} $({process} {shell} | awk '/qube-hil/ {{print $1}}')");
-            assert!(Command::new("sh").args(["-c", &command]).status().unwrap().success());
-        };
-        for (number, (name, exit_code)) in
-            [("TERM", 143), ("HUP", 129), ("INT", 130)].into_iter().enumerate()
-        {
-            tmux.run(&format!("{RUN} {number}"));
-            tmux.wait_for("the policy has the motor");
-            signal(name);
-            tmux.must_be_restored(exit_code);
+    std::thread::scope(|scope| {
+        for (signal, exit_code) in [("TERM", 143), ("HUP", 129), ("INT", 130)] {
+            scope.spawn(move || in_real_time(|| a_signal_restores_the_terminal(signal, exit_code)));
         }
-
-        // Ctrl-Z gives the shell its terminal; fg brings the screen back.
-        tmux.run(&format!("{RUN} suspended"));
-        tmux.wait_for("the policy has the motor");
-        tmux.press("C-z");
-        tmux.wait_for("ready>");
-        assert_eq!(tmux.value("#{alternate_on} #{cursor_flag}"), "0 1");
-        tmux.type_line("fg");
-        tmux.wait_for("space stop now");
-        assert_eq!(tmux.value("#{alternate_on} #{cursor_flag}"), "1 0");
-        tmux.press("Space");
-        let begun = Instant::now();
-        while tmux.value("#{alternate_on} #{cursor_flag}") != "0 1" {
-            assert!(begun.elapsed() < PATIENCE, "{}", tmux.shown());
-            std::thread::sleep(Duration::from_millis(50));
-        }
-
-        // No screen where the user wants none.
-        tmux.run("run --policy classical --clock virtual --plain --out plain");
-        tmux.wait_for("exit=0");
-        assert_eq!(tmux.value("#{alternate_on}"), "0");
+        scope.spawn(|| in_real_time(suspension_lends_the_terminal_to_the_shell));
     });
+}
+
+fn a_signal_restores_the_terminal(signal: &str, exit_code: i32) {
+    let directory = tempfile::tempdir().unwrap();
+    let Some(tmux) = Tmux::start(directory.path()) else { return };
+    tmux.run(&format!("{RUN} signalled"));
+    tmux.wait_for("the policy has the motor");
+    let process = "ps -o pid= -o comm= --ppid";
+    let shell = tmux.value("#{pane_pid}");
+    let command = format!("kill -{signal} $({process} {shell} | awk '/qube-hil/ {{print $1}}')");
+    assert!(Command::new("sh").args(["-c", &command]).status().unwrap().success());
+    tmux.must_be_restored(exit_code);
+}
+
+/// Ctrl-Z gives the shell its terminal; `fg` brings the screen back. With `--plain` the program
+/// shows no screen.
+fn suspension_lends_the_terminal_to_the_shell() {
+    let directory = tempfile::tempdir().unwrap();
+    let Some(tmux) = Tmux::start(directory.path()) else { return };
+    tmux.run(&format!("{RUN} suspended"));
+    tmux.wait_for("the policy has the motor");
+    tmux.press("C-z");
+    tmux.wait_for("ready>");
+    assert_eq!(tmux.value("#{alternate_on} #{cursor_flag}"), "0 1");
+    tmux.type_line("fg");
+    tmux.wait_for("space stop now");
+    assert_eq!(tmux.value("#{alternate_on} #{cursor_flag}"), "1 0");
+    tmux.press("Space");
+    let begun = Instant::now();
+    while tmux.value("#{alternate_on} #{cursor_flag}") != "0 1" {
+        assert!(begun.elapsed() < PATIENCE, "{}", tmux.shown());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+
+    tmux.run("run --policy classical --clock virtual --plain --out plain");
+    tmux.wait_for("exit=0");
+    assert_eq!(tmux.value("#{alternate_on}"), "0");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Tests `check --power-test` with an emulated Qube on a pty and a simulated operator: the plug is
-//! pulled, the result is written to `qube.toml`, and a Qube whose motor goes off no longer causes a
-//! warning.
+//! pulled, the result is written to `qube.toml`, and a Qube whose motor goes off causes no warning
+//! afterwards.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -23,11 +23,11 @@ const AT_STOP_S: u64 = 15;
 /// Seed of the tested Qube and serial number of its board.
 const SEED: u64 = 5;
 
-/// Delay of the operator's hand: the motor presses by then.
+/// Delay before the operator pulls the plug; the motor presses by then.
 const AN_OPERATOR_TAKES: Duration = Duration::from_millis(500);
 
-/// Questions of the rehearsal, the press before the plug is pulled, for which this operator's
-/// finger gives no cause.
+/// Questions that the rehearsal, the press before the plug is pulled, does not put to an operator
+/// who follows each instruction.
 const UNEXPECTED: [&str; 2] = ["The arm is not at a stop", "It stayed away"];
 
 /// An emulated Qube with or without an operator's finger at its arm, at the port `link`; with
@@ -127,7 +127,7 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
                     kill_process(Pid::from_child(&child), Signal::INT).unwrap();
                     continue;
                 }
-                // An empty answer is none, so that the question comes again.
+                // An empty answer does not count, so that the question comes again.
                 _ if light_questions == 1 => "",
                 AtThePlug::LightOn => "n",
                 _ => "y",
@@ -140,7 +140,7 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
                 }
                 AtThePlug::OtherBoard => writeln!(operator, "n").unwrap(),
                 AtThePlug::LightOn | AtThePlug::Interrupted | AtThePlug::Stopped => {
-                    panic!("it is not: {line}")
+                    panic!("the board is not dead: {line}")
                 }
             }
         } else if line.contains("Plug the USB cable in again") {
@@ -149,7 +149,7 @@ fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
             connected = Some(qube_of(seed, &link, None, restarts));
             writeln!(operator).unwrap();
         } else if UNEXPECTED.iter().any(|question| line.contains(question)) {
-            // Without an answer program and test would wait for each other.
+            // Without an answer, program and test would wait for each other.
             panic!("no operator who follows each instruction is asked this: {line}\n{told:#?}");
         }
         told.push(line);
@@ -165,124 +165,134 @@ fn pulled(directory: &Path, answer: &'static str) -> (EmulatedQube, Value) {
     let Told { code, told, text, connected } = tested(directory, &AtThePlug::Pulled(answer));
     assert_eq!(code, Some(0), "{told}\n{text}");
     assert!(told.contains("It came back"), "{told}");
-    (connected.expect("it is plugged in again"), serde_json::from_str(&text).expect("one object"))
-}
-
-#[test]
-fn a_board_that_dies_and_a_motor_that_goes_on_are_written_down_and_warned_of() {
-    in_real_time(|| {
-        let directory = tempfile::tempdir().unwrap();
-        let (_connected, result) = pulled(directory.path(), "y");
-        assert_eq!(
-            result["power_test"]["power"]["usb_lost"], "motor keeps its voltage",
-            "{result}"
-        );
-        assert_eq!(result["passed"], true, "{result}");
-        assert!(result["checks"].as_array().is_some_and(|checks| checks.len() > 10), "{result}");
-        let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
-        assert_eq!(file.power.as_ref().unwrap().usb_lost, UsbLost::KeepsVoltage);
-        assert_eq!(power_warning(file.power.as_ref()), Some(PowerWarning::KeepsVoltage));
-    });
+    (connected.expect("a connected Qube"), serde_json::from_str(&text).expect("one JSON object"))
 }
 
 #[test]
 fn the_power_test_is_done_once_a_rig_and_its_result_ends_the_warning() {
-    in_real_time(|| {
-        let directory = tempfile::tempdir().unwrap();
-        let (_connected, result) = pulled(directory.path(), "n");
-        assert_eq!(result["power_test"]["power"]["usb_lost"], "motor off", "{result}");
-
-        let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
-        let power = file.power.unwrap();
-        assert_eq!(power.usb_lost, UsbLost::MotorOff);
-        assert_eq!(Some(power.board), file.board);
-        assert_eq!(power.date.len(), "2026-01-31".len());
-
-        // Without the file, the run warns in one line; with it, the result is known.
-        let arguments = ["run", "--device", "qube", "--policy", "classical", "--out"];
-        let warns = |out: &str, rename: bool| {
-            if rename {
-                std::fs::rename(directory.path().join("qube.toml"), directory.path().join("kept"))
-                    .unwrap();
-            }
-            // The warning comes before anything is driven, so the run is killed when homing begins.
-            let arguments = [&arguments[..], &[out, "--rollouts", "1"]].concat();
-            let mut child = program(directory.path(), &arguments)
-                .stdout(Stdio::null())
-                .stderr(Stdio::piped())
-                .spawn()
-                .unwrap();
-            let mut lines =
-                BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
-            let before: Vec<String> =
-                lines.by_ref().take_while(|line| !line.starts_with("homing:")).collect();
-            child.kill().unwrap();
-            child.wait().unwrap();
-            before.iter().filter(|line| line.contains("--power-test")).count()
-        };
-        assert_eq!((warns("known", false), warns("unknown", true)), (0, 1));
-    });
+    side_by_side(&[
+        a_motor_that_keeps_its_voltage_is_written_down_and_warned_of,
+        a_motor_that_goes_off_is_written_down_and_ends_the_warning,
+    ]);
 }
 
 #[test]
-fn a_board_that_another_supply_keeps_alive_shows_nothing() {
-    let shows_nothing = |pulled: &AtThePlug, words: &str| {
-        in_real_time(|| {
-            let directory = tempfile::tempdir().unwrap();
-            let Told { code, told, text, .. } = tested(directory.path(), pulled);
-            assert_eq!(code, Some(1), "{told}\n{text}");
-            assert!(told.contains(words) && told.contains("switch the Qube off"), "{told}");
-            assert!(!directory.path().join("qube.toml").exists());
-        });
-    };
+fn a_power_test_without_a_dead_board_or_its_return_gives_no_result() {
+    side_by_side(&[
+        a_board_that_another_supply_keeps_alive_shows_nothing,
+        a_board_whose_light_is_on_shows_nothing,
+        another_board_that_is_plugged_in_again_is_named_at_once,
+        ctrl_c_while_the_board_is_dead_ends_the_test_and_says_to_switch_the_qube_off,
+        a_computer_that_stands_still_is_not_taken_for_a_pulled_plug,
+    ]);
+}
+
+/// Runs cases that mostly wait at the same time. Each begins again by itself where the computer was
+/// too busy.
+fn side_by_side(cases: &[fn()]) {
     std::thread::scope(|scope| {
-        scope.spawn(|| shows_nothing(&AtThePlug::LightOn, "a board whose light is on"));
-        shows_nothing(&AtThePlug::OnAnotherSupply("n"), "it never lost its power");
+        for case in cases {
+            scope.spawn(move || in_real_time(case));
+        }
     });
 }
 
-#[test]
+fn a_motor_that_keeps_its_voltage_is_written_down_and_warned_of() {
+    let directory = tempfile::tempdir().unwrap();
+    let (_connected, result) = pulled(directory.path(), "y");
+    assert_eq!(result["power_test"]["power"]["usb_lost"], "motor keeps its voltage", "{result}");
+    assert_eq!(result["passed"], true, "{result}");
+    assert!(result["checks"].as_array().is_some_and(|checks| checks.len() > 10), "{result}");
+    let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
+    assert_eq!(file.power.as_ref().unwrap().usb_lost, UsbLost::KeepsVoltage);
+    assert_eq!(power_warning(file.power.as_ref()), Some(PowerWarning::KeepsVoltage));
+}
+
+fn a_motor_that_goes_off_is_written_down_and_ends_the_warning() {
+    let directory = tempfile::tempdir().unwrap();
+    let (_connected, result) = pulled(directory.path(), "n");
+    assert_eq!(result["power_test"]["power"]["usb_lost"], "motor off", "{result}");
+
+    let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
+    let power = file.power.unwrap();
+    assert_eq!(power.usb_lost, UsbLost::MotorOff);
+    assert_eq!(Some(power.board), file.board);
+    assert_eq!(power.date.len(), "2026-01-31".len());
+
+    // Without the file, the run warns in one line; with it, the result is known.
+    let arguments = ["run", "--device", "qube", "--policy", "classical", "--out"];
+    let warns = |out: &str, rename: bool| {
+        if rename {
+            std::fs::rename(directory.path().join("qube.toml"), directory.path().join("kept"))
+                .unwrap();
+        }
+        // The warning comes before anything is driven, so the run is killed when homing begins.
+        let arguments = [&arguments[..], &[out, "--rollouts", "1"]].concat();
+        let mut child = program(directory.path(), &arguments)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+        let before: Vec<String> =
+            lines.by_ref().take_while(|line| !line.starts_with("homing:")).collect();
+        child.kill().unwrap();
+        child.wait().unwrap();
+        before.iter().filter(|line| line.contains("--power-test")).count()
+    };
+    assert_eq!((warns("known", false), warns("unknown", true)), (0, 1));
+}
+
+fn a_board_whose_light_is_on_shows_nothing() {
+    shows_nothing(&AtThePlug::LightOn, "a board whose light is on");
+}
+
+fn a_board_that_another_supply_keeps_alive_shows_nothing() {
+    shows_nothing(&AtThePlug::OnAnotherSupply("n"), "it never lost its power");
+}
+
+/// Panics unless the test fails with these words and writes no result.
+fn shows_nothing(pulled: &AtThePlug, words: &str) {
+    let directory = tempfile::tempdir().unwrap();
+    let Told { code, told, text, .. } = tested(directory.path(), pulled);
+    assert_eq!(code, Some(1), "{told}\n{text}");
+    assert!(told.contains(words) && told.contains("switch the Qube off"), "{told}");
+    assert!(!directory.path().join("qube.toml").exists());
+}
+
 fn another_board_that_is_plugged_in_again_is_named_at_once() {
-    in_real_time(|| {
-        let directory = tempfile::tempdir().unwrap();
-        let begun = Instant::now();
-        let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::OtherBoard);
-        assert_eq!(code, Some(1), "{told}\n{text}");
-        assert!(told.contains("another board answers now"), "{told}");
-        assert!(begun.elapsed() < Duration::from_secs(100), "{told}");
-        let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
-        assert_eq!(file.power, None);
-    });
+    let directory = tempfile::tempdir().unwrap();
+    let begun = Instant::now();
+    let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::OtherBoard);
+    assert_eq!(code, Some(1), "{told}\n{text}");
+    assert!(told.contains("another board answers now"), "{told}");
+    assert!(begun.elapsed() < Duration::from_secs(100), "{told}");
+    let file = QubeFile::load(&directory.path().join("qube.toml")).unwrap();
+    assert_eq!(file.power, None);
 }
 
-#[test]
 fn ctrl_c_while_the_board_is_dead_ends_the_test_and_says_to_switch_the_qube_off() {
-    in_real_time(|| {
-        let directory = tempfile::tempdir().unwrap();
-        let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::Interrupted);
-        assert_eq!(code, Some(130), "{told}\n{text}");
-        assert!(!told.contains("is braked"), "{told}");
-        // Both at once after Ctrl-C and at the end.
-        assert_eq!(told.matches("motor may still have its voltage").count(), 2, "{told}");
-        assert!(!directory.path().join("qube.toml").exists());
-    });
+    let directory = tempfile::tempdir().unwrap();
+    let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::Interrupted);
+    assert_eq!(code, Some(130), "{told}\n{text}");
+    assert!(!told.contains("is braked"), "{told}");
+    // The message comes twice: directly after Ctrl-C and at the end.
+    assert_eq!(told.matches("motor may still have its voltage").count(), 2, "{told}");
+    assert!(!directory.path().join("qube.toml").exists());
 }
 
-#[test]
 fn a_computer_that_stands_still_is_not_taken_for_a_pulled_plug() {
-    in_real_time(|| {
-        let directory = tempfile::tempdir().unwrap();
-        let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::Stopped);
-        // The text holds the remedies of failed checks, by which a busy computer is recognised.
-        assert!(told.contains("Now pull the USB plug"), "{told}\n{text}");
-        // From here on the program calls the computer busy by design, so that these words in a
-        // message would only repeat the test.
-        assert_eq!(code, Some(4));
-        assert!(told.contains(TOO_LATE), "{told}");
-        let result: Value = serde_json::from_str(&text).expect("one object");
-        assert_eq!(result["power_test"]["ended_by"]["consequence"], "try_again");
-        assert!(!directory.path().join("qube.toml").exists());
-    });
+    let directory = tempfile::tempdir().unwrap();
+    let Told { code, told, text, .. } = tested(directory.path(), &AtThePlug::Stopped);
+    // The text holds the remedies of failed checks, by which a busy computer is recognised.
+    assert!(told.contains("Now pull the USB plug"), "{told}\n{text}");
+    // The program reports a busy computer here by design. An assertion that printed its words
+    // would make `in_real_time` repeat the test.
+    assert_eq!(code, Some(4));
+    assert!(told.contains(TOO_LATE), "{told}");
+    let result: Value = serde_json::from_str(&text).expect("one JSON object");
+    assert_eq!(result["power_test"]["ended_by"]["consequence"], "try_again");
+    assert!(!directory.path().join("qube.toml").exists());
 }
 
 #[test]
