@@ -228,9 +228,9 @@ fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
             assert!(status.success(), "after {interruptions} interruptions: {status}");
             break;
         }
-        // After 30 interruptions the program runs to its end, even on a computer that is too slow
+        // After 20 interruptions the program runs to its end, even on a computer that is too slow
         // to finish anything between two of them.
-        if interruptions < 30 {
+        if interruptions < 20 {
             let signal = if interruptions % 2 == 0 { Signal::KILL } else { Signal::INT };
             let _ = kill_process(Pid::from_child(&child), signal);
             interruptions += 1;

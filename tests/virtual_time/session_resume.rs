@@ -123,9 +123,9 @@ fn is_killed_and_resumed(settings: &str) -> bool {
             assert!(status.success(), "after {kills} kills: {status}");
             break;
         }
-        // After 40 kills the session runs on, because a training that takes longer than the longest
+        // After 24 kills the session runs on, because a training that takes longer than the longest
         // of these times would never end.
-        if kills < 40 {
+        if kills < 24 {
             signal(&child, Signal::KILL);
             kills += 1;
             child.wait().unwrap();
