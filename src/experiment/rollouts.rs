@@ -116,7 +116,10 @@ fn state_of(
         let path = recording_in(&rollouts.path, number);
         let recorded = match read(&path) {
             Ok(recorded) => recorded,
-            Err(RecordingError::Unreadable { .. }) => return Ok(RecordedState::Due { attempt }),
+            Err(error @ RecordingError::Unreadable { .. }) => {
+                tracing::warn!("{error}: it does not count, and the rollout is missing");
+                return Ok(RecordedState::Due { attempt });
+            }
             Err(error) if error.is_absence() => return Ok(RecordedState::Due { attempt }),
             Err(error) => return Err(error.into()),
         };

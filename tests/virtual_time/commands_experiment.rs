@@ -199,6 +199,17 @@ fn an_experiment_killed_and_stopped_again_and_again_comes_to_the_same_table() {
     assert_eq!(table(whole.path()), expected);
     assert!(files(&whole.path().join("one")) == expected_files);
 
+    // A damaged recording does not count, which --table says; the rollout is recorded again.
+    std::fs::write(whole.path().join(lost), "damaged").unwrap();
+    let output = experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains(&format!("{lost}: this is not an MCAP file")), "{told}");
+    assert_eq!(succeeded(&output), text);
+    assert_eq!(table(whole.path()), expected);
+    let aside = lost.replace(".mcap", ".unfinished-1.mcap");
+    std::fs::remove_file(whole.path().join(aside)).unwrap();
+    assert!(files(&whole.path().join("one")) == expected_files);
+
     // With changed settings the program shows the finished work and makes nothing more.
     let settings = whole.path().join("one/experiment.toml");
     let begun_with = std::fs::read_to_string(&settings).unwrap();
