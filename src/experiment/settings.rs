@@ -1,13 +1,14 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use toml::{Table, Value};
+use toml::Spanned;
+use toml::de::{DeTable, DeValue, Deserializer};
 
 use super::folder::check_name;
 use super::seal::is_unchanged;
 use super::{ExperimentError, ExperimentSettingError, MethodSettings, Plant, Recipe};
 use crate::qube::PlantModel;
-use crate::session::{Retired, take_retired, toml_message};
+use crate::session::{Retired, entry_at, take_retired, toml_message};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// The settings of an experiment, as `experiment.toml` contains them.
@@ -81,20 +82,13 @@ impl ExperimentSettings {
     fn parsed(path: &Path, text: &str) -> Result<(Self, Vec<Retired>), ExperimentError> {
         let unreadable =
             |reason: String| ExperimentError::Settings { path: path.to_owned(), reason };
-        let invalid = |error: toml::de::Error| unreadable(toml_message(&error));
-        let mut table: Table = toml::from_str(text).map_err(invalid)?;
-        let recipes = table.get_mut("recipes").and_then(Value::as_array_mut);
-        let retired: Vec<Retired> = recipes
-            .into_iter()
-            .flatten()
-            .filter_map(|recipe| recipe.get_mut("settings").and_then(Value::as_table_mut))
-            .flat_map(take_retired)
-            .collect();
-        let settings: Self = if retired.is_empty() {
-            toml::from_str(text).map_err(invalid)?
-        } else {
-            toml::from_str(&toml::to_string(&table)?).map_err(invalid)?
+        let invalid = |mut error: toml::de::Error| {
+            error.set_input(Some(text));
+            unreadable(toml_message(&error))
         };
+        let mut table = DeTable::parse(text).map_err(invalid)?;
+        let retired = taken_from_recipes(table.get_mut(), text);
+        let settings = Self::deserialize(Deserializer::from(table)).map_err(invalid)?;
         settings.check().map_err(|refused| unreadable(refused.to_string()))?;
         Ok((settings, retired))
     }
@@ -229,6 +223,19 @@ impl ExperimentSettings {
     fn plant_names(&self) -> Vec<&str> {
         self.plants.iter().map(|plant| plant.name.as_str()).collect()
     }
+}
+
+/// Removes retired entries from the settings of all recipes of an experiment's file and returns
+/// them.
+fn taken_from_recipes(experiment: &mut DeTable<'_>, text: &str) -> Vec<Retired> {
+    let Some(DeValue::Array(recipes)) = experiment.get_mut("recipes").map(Spanned::get_mut) else {
+        return Vec::new();
+    };
+    let tables = recipes.iter_mut().filter_map(|recipe| match recipe.get_mut() {
+        DeValue::Table(recipe) => entry_at(recipe, &["settings"]),
+        _ => None,
+    });
+    tables.flat_map(|settings| take_retired(settings, text)).collect()
 }
 
 /// Checks that the names are valid and that no two are equal; `kind` names them in the error.

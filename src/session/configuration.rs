@@ -4,11 +4,11 @@
 use std::path::Path;
 
 use serde::Deserialize;
+use toml::Spanned;
 use toml::de::DeValue;
-use toml::{Spanned, Table};
 
-use super::located_entries::{LocatedEntries, invalid, merge_into};
-use super::retired::{Retired, entry_at, rename_entries};
+use super::located_entries::{LocatedEntries, entry_at, merge_into};
+use super::retired::{Retired, rename_entries};
 use super::setting_error::NEW_SESSION_ADVICE;
 use super::{ConfigurationError, Extent, SessionSettings, take_retired};
 use crate::estimation::ObserverSettings;
@@ -56,18 +56,7 @@ impl SessionSettings {
     /// Reads a complete configuration, and its retired entries apart from it.
     fn loaded(text: &str, path: &Path) -> Result<(Self, Vec<Retired>), ConfigurationError> {
         let mut entries = LocatedEntries::of(text, None, path)?;
-        // A `Table` holds no seed of 64 bits, which an experiment gives to its searches.
-        let StoredSeed { seed } = entries.read()?;
-        let mut others = LocatedEntries::of(text, None, path)?;
-        others.table.get_mut().remove("seed");
-        let mut table: Table = others.read()?;
-        let retired = take_retired(&mut table);
-        let without_retired;
-        if !retired.is_empty() {
-            let seed = seed.map_or_else(String::new, |seed| format!("seed = {seed}\n"));
-            without_retired = seed + &toml::to_string(&table)?;
-            entries = LocatedEntries::of(&without_retired, None, path)?;
-        }
+        let retired = take_retired(entries.table.get_mut(), text);
         // A session writes its tables whole, so a table that lacks an entry is damaged.
         entries.read::<Self>()?;
         Ok((Self::of_oldest_files().with_overrides(&entries)?, retired))
@@ -99,12 +88,13 @@ impl SessionSettings {
     pub fn configured_by(&self, path: &Path) -> Result<Self, ConfigurationError> {
         let text = read(path)?;
         let settings = self.overridden_by_text(&text, path)?;
-        let file: Table = toml::from_str(&text).map_err(|error| invalid(path, error))?;
-        let simulation = file.get("training").and_then(|training| training.get("simulation"));
-        let simulated = simulation.and_then(|simulation| simulation.get("sensors"));
-        let estimator = match (file.get("estimator"), settings.training.simulation.sensors) {
-            (Some(_), _) if simulated.is_none() => settings.estimator,
-            (None, SensorModel::Encoders { estimator }) if simulated.is_some() => estimator,
+        let mut file = LocatedEntries::of(&text, None, path)?.table.into_inner();
+        let is_for_qube = file.contains_key("estimator");
+        let is_for_simulations = entry_at(&mut file, &["training", "simulation"])
+            .is_some_and(|simulation| simulation.contains_key("sensors"));
+        let estimator = match (is_for_qube, settings.training.simulation.sensors) {
+            (true, _) if !is_for_simulations => settings.estimator,
+            (false, SensorModel::Encoders { estimator }) if is_for_simulations => estimator,
             _ => return Ok(settings),
         };
         let settings = settings.seen_through(estimator);
@@ -142,8 +132,8 @@ impl SessionSettings {
         part: Option<&str>,
         path: &Path,
     ) -> Result<Self, ConfigurationError> {
-        let entries = LocatedEntries::of(text, part, path)?;
-        if let Some(entry) = take_retired(&mut entries.read()?).first() {
+        let mut entries = LocatedEntries::of(text, part, path)?;
+        if let Some(entry) = take_retired(entries.table.get_mut(), text).first() {
             return Err(out_of_range(path, format!("{entry}: leave it out")));
         }
         let mut settings = self.with_overrides(&entries)?;
@@ -212,12 +202,6 @@ fn out_of_range(path: &Path, reason: String) -> ConfigurationError {
 const OBSERVERS: [&[&str]; 3] =
     [&["estimator"], &["homing", "estimator"], &["training", "simulation", "sensors", "estimator"]];
 
-/// The seed of a stored settings file.
-#[derive(Deserialize)]
-struct StoredSeed {
-    seed: Option<u64>,
-}
-
 /// The entry of a settings file that selects the other settings' defaults.
 #[derive(Deserialize)]
 struct SelectedPreset {
@@ -226,11 +210,12 @@ struct SelectedPreset {
 
 #[cfg(test)]
 mod tests {
+    use toml::de::DeTable;
+
     use super::*;
     use crate::estimation::{EstimatorSettings, ObserverSettings};
     use crate::qube::{Nonideality, QubeModel};
     use crate::session::SharedRig;
-    use crate::session::retired::table_at;
     use crate::simulation::PsiSpace;
 
     fn overridden(text: &str) -> Result<SessionSettings, ConfigurationError> {
@@ -327,6 +312,14 @@ mod tests {
             SessionSettings::load(&path).unwrap().seed,
             u64::MAX,
             "the seed is read beside a retired entry"
+        );
+        let text = "seed = 18446744073709551615\n[estimator]\ncorner_rad_s = 60.0\n";
+        std::fs::write(&path, text).unwrap();
+        let configured = SessionSettings::quick().configured_by(&path).unwrap();
+        assert_eq!(
+            configured.seed,
+            u64::MAX,
+            "a seed of 64 bits is read from the file of a new session"
         );
     }
 
@@ -484,9 +477,9 @@ mod tests {
         let written = SessionSettings::quick().to_toml().unwrap();
         let paths: [&[&str]; 2] = [&["safety_box"], &["training", "simulation", "safety_box"]];
         for path in paths {
-            let mut table: Table = toml::from_str(&written).unwrap();
-            let limits = table_at(&mut table, path).unwrap();
-            let names: Vec<&str> = limits.keys().map(String::as_str).collect();
+            let mut entries = DeTable::parse(&written).unwrap();
+            let limits = entry_at(entries.get_mut(), path).unwrap();
+            let names: Vec<&str> = limits.keys().map(|name| &**name.get_ref()).collect();
             let expected =
                 ["alpha_dot_rad_s", "alpha_rad", "guard", "theta_dot_rad_s", "theta_rad"];
             assert!(expected.iter().all(|name| names.contains(name)), "{names:?}");

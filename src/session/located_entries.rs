@@ -79,6 +79,17 @@ pub(super) fn merge_into<'a>(below: &mut DeTable<'a>, above: DeTable<'a>) {
     }
 }
 
+/// The table at a path within the entries of a session's settings file.
+pub(crate) fn entry_at<'a, 'i>(
+    settings: &'a mut DeTable<'i>,
+    path: &[&str],
+) -> Option<&'a mut DeTable<'i>> {
+    path.iter().try_fold(settings, |table, step| match table.get_mut(*step)?.get_mut() {
+        DeValue::Table(below) => Some(below),
+        _ => None,
+    })
+}
+
 /// The error of a file that is not TOML or whose entries do not form the expected value.
 pub(super) fn invalid(path: &Path, source: toml::de::Error) -> ConfigurationError {
     ConfigurationError::Invalid { path: path.to_owned(), source: Box::new(source) }

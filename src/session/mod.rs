@@ -77,6 +77,7 @@ pub use finished_rollout::{check_origin, check_policy, finished_rollout};
 pub use folder::{FolderError, SessionFolder, put_aside};
 pub use identification_settings::IdentificationSettings;
 pub use ledger::{DamagedLine, Ledger, LedgerError, Parsed, parse as parse_ledger};
+pub(crate) use located_entries::entry_at;
 pub use orchestrator::{Session, keep_on_board};
 pub use paths::{PolicyPaths, SessionPaths, recording_in};
 pub use plan::{CandidateCounts, Step, next_step, trains_ahead};

@@ -3,9 +3,10 @@
 
 use std::fmt::{self, Display};
 
-use toml::de::{DeTable, DeValue};
-use toml::{Spanned, Table, Value};
+use toml::Spanned;
+use toml::de::DeTable;
 
+use super::located_entries::entry_at;
 use crate::simulation::box_file;
 
 /// Retired entries: the path of their table within a session's settings, and their name.
@@ -36,14 +37,15 @@ type Names = &'static [(&'static str, &'static str)];
 #[derive(Clone, Debug, PartialEq)]
 pub struct Retired {
     key: String,
-    value: Value,
+    /// The value as the file has it.
+    value: String,
 }
 
 impl Retired {
     /// Returns whether the entry had an effect on the session: a value of 0 had none.
     #[must_use]
     pub fn changed_something(&self) -> bool {
-        !matches!(self.value, Value::Float(0.0) | Value::Integer(0))
+        self.value.parse() != Ok(0.0)
     }
 }
 
@@ -53,13 +55,16 @@ impl Display for Retired {
     }
 }
 
-/// Removes retired entries from a session's settings and returns them.
+/// Removes retired entries from a session's settings and returns them; `text` is the text of the
+/// settings' file.
 #[must_use]
-pub fn take_retired(settings: &mut Table) -> Vec<Retired> {
+pub fn take_retired(settings: &mut DeTable<'_>, text: &str) -> Vec<Retired> {
     let mut taken = Vec::new();
     for (path, name) in RETIRED {
-        if let Some(value) = table_at(settings, path).and_then(|table| table.remove(name)) {
-            taken.push(Retired { key: format!("{}.{name}", path.join(".")), value });
+        if let Some(value) = entry_at(settings, path).and_then(|table| table.remove(name)) {
+            let (key, value) =
+                (format!("{}.{name}", path.join(".")), text[value.span()].to_owned());
+            taken.push(Retired { key, value });
         }
     }
     taken
@@ -85,20 +90,4 @@ pub(super) fn rename_entries(settings: &mut DeTable<'_>) {
 pub(super) fn earlier_name(present: &str) -> Option<&'static str> {
     let mut names = RENAMED.into_iter().flat_map(|(_, names)| names);
     names.find(|(_, name)| *name == present).map(|(earlier, _)| *earlier)
-}
-
-/// The table at a path within the entries of a session's settings file.
-pub(super) fn entry_at<'a, 'i>(
-    settings: &'a mut DeTable<'i>,
-    path: &[&str],
-) -> Option<&'a mut DeTable<'i>> {
-    path.iter().try_fold(settings, |table, step| match table.get_mut(*step)?.get_mut() {
-        DeValue::Table(below) => Some(below),
-        _ => None,
-    })
-}
-
-/// The table at a path within a session's settings.
-pub(super) fn table_at<'a>(settings: &'a mut Table, path: &[&str]) -> Option<&'a mut Table> {
-    path.iter().try_fold(settings, |table, step| table.get_mut(*step)?.as_table_mut())
 }
