@@ -18,9 +18,6 @@ const TRANSITIONS: usize = 40;
 /// the sample covariance of the Qubes is not singular.
 const PAIRS: usize = 16;
 
-/// Number of evaluations of the likelihood, rounded up to whole generations of CMA-ES.
-const EVALUATIONS: usize = 3000;
-
 /// Range of the means, in standard deviations of the prior.
 const MEANS: [f64; 2] = [-2.5, 2.5];
 /// Range of the logarithms of the standard deviations, relative to the prior's.
@@ -28,7 +25,16 @@ const LOG_DEVIATIONS: [f64; 2] = [-4.0, 0.0];
 
 /// DROPO (Tiboni, Arndt and Kyrki 2023): finds the distribution of simulations under which recorded
 /// transitions are most likely, without any rollout of a policy.
-pub struct Dropo;
+pub struct Dropo {
+    /// Number of evaluations of the likelihood, rounded up to whole generations of CMA-ES.
+    pub evaluations: usize,
+}
+
+impl Default for Dropo {
+    fn default() -> Self {
+        Self { evaluations: 3000 }
+    }
+}
 
 impl Rival for Dropo {
     fn data(&self) -> Data {
@@ -62,7 +68,7 @@ impl Rival for Dropo {
         let bounds = |end: usize| {
             [vec![MEANS[end]; dimensions], vec![LOG_DEVIATIONS[end]; dimensions]].concat()
         };
-        Ok(match minimise(&bounds(0), &bounds(1), EVALUATIONS, given.seed, cost) {
+        Ok(match minimise(&bounds(0), &bounds(1), self.evaluations, given.seed, cost) {
             Ok(found) if !transitions.is_empty() => {
                 let (mean, deviation) = parts(&found);
                 let variances = deviation.component_mul(&deviation);

@@ -82,7 +82,7 @@ impl RivalKind {
         match self {
             Self::SimOpt => Box::new(SimOpt),
             Self::BayesSim => Box::new(BayesSim),
-            Self::Dropo => Box::new(Dropo),
+            Self::Dropo => Box::new(Dropo::default()),
             Self::EpOpt => Box::new(EpOpt),
             Self::Npdr => Box::new(Npdr),
             Self::Lsdr => Box::new(Lsdr),

@@ -78,8 +78,8 @@ impl<'a> RivalInput<'a> {
     }
 }
 
-/// A method from the literature that learns a distribution of simulations from real rollouts or
-/// without any, or trains in a way of its own.
+/// A method from the literature, or the policy `history`. It learns a distribution of simulations,
+/// with or without real rollouts, or it has a training of its own.
 pub trait Rival {
     /// The kind of real rollouts that the rival learns from.
     fn data(&self) -> Data;
