@@ -6,17 +6,17 @@
 //! ```
 //!
 //! FOLDER holds chirps and swing-ups as CSV files; without FOLDER, `../shared/data/qube-recordings`
-//! is read. For each chirp a model is fitted to the other chirps, and then for each recording to
-//! all other recordings. The cable's rest angle comes from the fitted recordings of the same
+//! is read. First the program fits a model for each chirp to the other chirps; then for each
+//! recording to all other recordings. The cable's rest angle comes from the fitted recordings of the same
 //! series, whose names differ in the last number only. Each entry of the table has the root mean
 //! square errors of theta and alpha in rad for one kind of motion, and the number of predictions
 //! in brackets. The name of a row for one recording ends with the duration of the fit.
 //!
-//! With `terms`, the program measures the worth of each term of the equations beyond the thesis's:
+//! With `terms`, the program measures the worth of each term that the program adds to the thesis's equations:
 //! it fits again without friction, dead zones, cable or delay, and prints how much less likely the
-//! recordings that were left out become, in nats a prediction. An error of a prediction counts as
-//! normal, with the root mean square of the same errors on the fitted recordings as its standard
-//! deviation.
+//! recordings that were left out become, in nats a prediction. The errors of predictions are
+//! taken as normally distributed, with the root mean square of the same errors on the fitted
+//! recordings as standard deviation.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -175,8 +175,8 @@ impl Without {
     }
 }
 
-/// Prints the worth of each of [`TERMS`]: the nats by which each recording is less likely under a
-/// fit to the others that leaves the term out.
+/// Prints the worth of each of [`TERMS`]: by how many nats a prediction the recordings that a fit
+/// leaves out become less likely when the fit also leaves the term out, and how many of them do.
 fn worth_of_terms(files: &[PathBuf], logs: &[MotionLog]) {
     let indices: Vec<usize> = (0..logs.len()).collect();
     // For each recording, the logarithm of its density and the number of its predictions.
@@ -216,7 +216,7 @@ fn worth_of_terms(files: &[PathBuf], logs: &[MotionLog]) {
         let predictions: usize = both.iter().map(|(_, predictions)| predictions).sum();
         let less = both.iter().filter(|(nats, _)| *nats > 0.0).count();
         println!(
-            "  {:.2} nats a prediction less likely; less likely {less} of {} recordings",
+            "  {:.2} nats a prediction less likely; {less} of {} recordings less likely",
             nats / predictions.max(1) as f64,
             both.len()
         );

@@ -33,7 +33,8 @@ thread_local! {
     static ALLOCATIONS: Cell<u32> = const { Cell::new(0) };
 }
 
-/// The system's allocator, which counts this thread's allocations while the loop runs.
+/// The system's allocator, which counts this thread's allocations, reallocations and releases while
+/// the loop runs.
 struct Counting;
 
 fn count() {
@@ -225,9 +226,9 @@ fn a_rollout_and_a_homing_over_a_pty_allocate_nothing() {
     });
 }
 
-/// Homes an emulated Qube in virtual time and runs a rollout on it, whose settings `change` adapts,
-/// until it ends or `stop` is set; checks that neither allocates and that the policy had the motor.
-/// Returns the outcome of the rollout.
+/// Homes an emulated Qube in virtual time, then runs a rollout until the rollout ends or `stop` is
+/// set; `change` adapts the rollout's settings. Checks that homing and rollout allocate nothing and
+/// that the policy ran. Returns the outcome of the rollout.
 #[track_caller]
 fn runs_until(
     emulator: EmulatorSettings,

@@ -358,17 +358,17 @@ static uint16_t crc_of(const uint8_t serial[8])
  * chips that store them. The bytes are four checksums of both. */
 static void draw_serial(uint8_t serial[8])
 {
-    uint16_t lanes[4] = {0xFFFFu, 0xFFFFu, 0xFFFFu, 0xFFFFu};
-    uint8_t lane = 0;
+    uint16_t checksums[4] = {0xFFFFu, 0xFFFFu, 0xFFFFu, 0xFFFFu};
+    uint8_t index = 0;
     for (const uint8_t *at = &__heap_start; at < (const uint8_t *)SP - 32; at++) {
-        lanes[lane] = _crc_ccitt_update(lanes[lane], *at);
-        lane = (lane + 1u) & 3u;
+        checksums[index] = _crc_ccitt_update(checksums[index], *at);
+        index = (index + 1u) & 3u;
     }
     for (uint8_t at = 0x0E; at <= 0x17; at++) {
-        lanes[lane] = _crc_ccitt_update(lanes[lane], boot_signature_byte_get(at));
-        lane = (lane + 1u) & 3u;
+        checksums[index] = _crc_ccitt_update(checksums[index], boot_signature_byte_get(at));
+        index = (index + 1u) & 3u;
     }
-    memcpy(serial, lanes, 8);
+    memcpy(serial, checksums, 8);
 }
 
 void board_serial(uint8_t serial[8])

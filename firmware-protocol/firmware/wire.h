@@ -1,5 +1,5 @@
 /* Written from the Rust crate firmware-protocol by its test `firmware_header`: do not edit.
- * PROTOCOL.md explains the names. */
+ * PROTOCOL.md explains the values. */
 #ifndef WIRE_H
 #define WIRE_H
 

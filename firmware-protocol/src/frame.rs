@@ -82,8 +82,8 @@ impl fmt::Debug for EncodedFrame {
     }
 }
 
-/// The reason why bytes between two delimiters are not a frame. The receiver drops such bytes in
-/// silence and counts them.
+/// The reason why bytes between two delimiters are not a frame. A receiver drops such bytes without
+/// a reply; a device also counts a dropped frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
     /// The frame is longer than the largest frame of this protocol.
@@ -116,8 +116,8 @@ impl Decoder {
         Self { buffer: [0; MAX_ENCODED_BYTES], length: 0 }
     }
 
-    /// Takes one byte. A delimiter returns the frame before it, or the reason why the bytes before
-    /// it are no frame; any other byte, and a delimiter with no bytes before it, returns `None`.
+    /// Takes one byte. At a delimiter, returns the frame before it or the reason why the bytes before
+    /// it are no frame; otherwise, and if no bytes precede the delimiter, returns `None`.
     pub fn push(&mut self, byte: u8) -> Option<Result<Frame, FrameError>> {
         if byte != DELIMITER {
             if let Some(place) = self.buffer.get_mut(self.length) {

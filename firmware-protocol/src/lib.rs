@@ -1,7 +1,7 @@
 //! The wire between a computer and the microcontroller at a Quanser Qube: messages, framing,
 //! scaling, version.
 //!
-//! Host and emulator share no other code of the wire. The microcontroller's program is tested
+//! Host and emulator share this code of the wire, and no other. The microcontroller's program is tested
 //! against `golden.txt`, and its `wire.h` is generated from this crate. The crate does no I/O,
 //! keeps no clock, allocates nothing and imports nothing of the project.
 //!

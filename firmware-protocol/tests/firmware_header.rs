@@ -87,7 +87,7 @@ fn reply_types() -> Vec<(String, u8)> {
 fn header() -> String {
     let mut header = String::from(
         "/* Written from the Rust crate firmware-protocol by its test `firmware_header`: do not edit.\n\
-         \x20* PROTOCOL.md explains the names. */\n\
+         \x20* PROTOCOL.md explains the values. */\n\
          #ifndef WIRE_H\n#define WIRE_H\n\n",
     );
     let text = &mut header;

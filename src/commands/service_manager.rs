@@ -9,8 +9,9 @@ pub fn ready() {
 }
 
 /// Reports that the session makes progress. The session calls this function at each of its events,
-/// and its executor while it waits for workers. No separate thread reports: once every session of
-/// the program hangs, no report comes, and systemd restarts the program.
+/// and each thread that waits for a worker. So a session that hangs goes unnoticed until the
+/// trainings beside it have ended, or while other sessions run; after that no report comes, and
+/// systemd restarts the program.
 pub fn alive() {
     notify(NotifyState::Watchdog);
 }

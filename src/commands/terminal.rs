@@ -1,4 +1,4 @@
-//! The terminal of an operator: sets it to single keys without echo, shows the screen of a long
+//! Controls the operator's terminal: sets it to single keys without echo, shows the screen of a long
 //! command on it, and restores it afterwards.
 
 use std::fs::File;
@@ -86,8 +86,8 @@ pub fn leave_screen() {
     }
 }
 
-/// Shows the screen again that a suspension has hidden; does nothing while the program is in the
-/// background.
+/// Shows the screen again after a suspension has hidden it; does nothing while the program is in
+/// the background.
 pub fn resume_screen() {
     if let Ok(mut screen) = SCREEN.try_lock()
         && let Some(screen) = screen.as_mut().filter(|screen| !screen.is_shown)
@@ -142,8 +142,9 @@ pub fn restore() {
     }
 }
 
-/// Restores the terminal until the program ends, before an exit that runs no destructors and leaves
-/// threads alive that would set it again.
+/// Restores the terminal for good: [`set_single_keys`] and [`resume_screen`] then change nothing.
+/// It is for an exit that runs no destructors, where other threads would set the terminal to single
+/// keys again.
 pub fn leave() {
     LEFT.store(true, Ordering::Relaxed);
     restore();
@@ -158,7 +159,7 @@ pub fn set_single_keys() {
         return;
     }
     let Ok(now) = tcgetattr(stdin()) else { return };
-    // A shell in between may have set its own modes.
+    // While the program was suspended, a shell may have set its own modes.
     if saved.is_some() && !now.local_modes.contains(LocalModes::ICANON) {
         return;
     }

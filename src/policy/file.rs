@@ -220,7 +220,7 @@ fn gain_tensors(gains: &ClassicalGains) -> Vec<(String, Tensor)> {
 
 fn read_gains(tensors: &SafeTensors<'_>) -> Result<ClassicalGains, PolicyFault> {
     let one = |name| read_f64::<1>(tensors, name).map(|[value]| value);
-    // A file without this gain means a recoil of 0: the controller centres the arm alone.
+    // A file without this gain means a recoil of 0 rad: the controller centres theta itself.
     let has_recoil = tensors.names().contains(&"recoil_rad");
     let gains = ClassicalGains {
         pump_v_per_j: one("pump_v_per_j")?,
@@ -234,7 +234,7 @@ fn read_gains(tensors: &SafeTensors<'_>) -> Result<ClassicalGains, PolicyFault> 
     };
     let named = named_gains(&gains);
     for (name, values) in named {
-        // A limit below zero would leave no voltage between its two ends.
+        // With a negative limit the range from -limit to +limit would be empty.
         let is_limit = name == "pump_limit_v";
         let is_bad = |value: &&f64| !value.is_finite() || (is_limit && **value < 0.0);
         if let Some(&value) = values.iter().find(is_bad) {

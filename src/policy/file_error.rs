@@ -37,7 +37,7 @@ pub enum PolicyError {
 pub enum PolicyFault {
     /// The file is larger than any policy.
     #[error(
-        "is larger than {MAX_FILE_BYTES} bytes, more than any policy. Give a policy of qube-hil"
+        "is larger than {} MiB, more than any policy. Give a policy of qube-hil", MAX_FILE_BYTES >> 20
     )]
     TooLarge,
     /// The file is not in the safetensors format, or damaged.

@@ -17,8 +17,8 @@ pub struct IdentificationSettings {
     pub candidates: u32,
     /// Number of rollouts of each candidate.
     pub rollouts: u32,
-    /// Standard deviation that the simulations have in addition to the identification's errors, as
-    /// a fraction of each value. It stands for the errors of the model itself.
+    /// Standard deviation of each quantity in the simulations, as a fraction of its value, in
+    /// addition to the identification's errors. It stands for the errors of the model itself.
     pub spread: f64,
     /// Number of trainings of each candidate, which differ in their seed; the best policy in
     /// simulations is kept.

@@ -26,7 +26,7 @@ pub enum LedgerError {
     },
     /// The file is longer than any session's ledger.
     #[error(
-        "{path} has more than {MAX_FILE_BYTES} bytes, far more than any session writes: restore it from a backup"
+        "{path} is larger than {} MiB, far more than any session writes: restore it from a backup", MAX_FILE_BYTES >> 20
     )]
     TooLong {
         /// Path of the ledger.

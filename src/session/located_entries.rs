@@ -79,13 +79,14 @@ pub(super) fn merge_into<'a>(below: &mut DeTable<'a>, above: DeTable<'a>) {
     }
 }
 
-/// The table at a path within the entries of a session's settings file.
+/// The table below `entries` at these keys, from the outermost to the innermost; `None` if there is
+/// no table.
 pub(crate) fn entry_at<'a, 'i>(
-    settings: &'a mut DeTable<'i>,
-    path: &[&str],
+    entries: &'a mut DeTable<'i>,
+    keys: &[&str],
 ) -> Option<&'a mut DeTable<'i>> {
-    path.iter().try_fold(settings, |table, step| match table.get_mut(*step)?.get_mut() {
-        DeValue::Table(below) => Some(below),
+    keys.iter().try_fold(entries, |table, key| match table.get_mut(*key)?.get_mut() {
+        DeValue::Table(nested) => Some(nested),
         _ => None,
     })
 }

@@ -9,7 +9,7 @@ use crate::qube::{
     control_step,
 };
 
-/// A Qube with all nonidealities, different in each lane; delays from 0 to 40 ms.
+/// A Qube whose friction, dead zones and cable differ from lane to lane; delays from 0 to 40 ms.
 fn real_model(lane: usize) -> QubeModel {
     let part = lane as f64 / 63.0;
     let nonidealities = Nonidealities {

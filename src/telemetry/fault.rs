@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Consequence {
-    /// The program repeats the rollout a limited number of times, because nothing points to a
-    /// defect of the Qube. Before each repetition it sends the board a hello, waits until the arm
+    /// A session or experiment repeats the rollout a limited number of times, because nothing points
+    /// to a defect of the Qube. Before each repetition it sends the board a hello, waits until the arm
     /// has been at rest for 1 s, and homes.
     TryAgain,
     /// The program opens the same port again, because the link is lost. It tries for a limited time
@@ -20,7 +20,7 @@ pub enum Consequence {
     /// the Qube or switched it off. Nothing moves before an operator has acknowledged the fault and
     /// an examination has passed.
     Examine,
-    /// The run or session ends, because the same rollout would end the same way.
+    /// The run or session ends, because a repetition would end the same way.
     End,
 }
 
@@ -33,8 +33,8 @@ impl Consequence {
                 "sends a hello, waits for rest, homes and tries again, by default at most 3 times"
             }
             Self::Reconnect => {
-                "opens the same port again, by default for 30 s; the same board is then homed and the rollout \
-                 repeated"
+                "tries for 30 s by default to open the same port again, with the same board; then homes the arm \
+                 and repeats the rollout"
             }
             Self::Examine => {
                 "ends; nothing moves until the operator has acknowledged the fault and the Qube has \
@@ -54,11 +54,10 @@ pub enum MotorState {
     Unconfirmed,
 }
 
-/// Generates the enum, its causes and the table from rows in the order of the table.
+/// Generates [`Fault`] with its causes, reactions and operator's steps from the rows of the table.
 macro_rules! faults {
     ($($(#[$attribute:meta])* $fault:ident: $consequence:ident, $cause:literal, $operator:literal;)+) => {
-        /// A fault by its name. Each fault is latched: the program switches the motor off, and the
-        /// motor stays off.
+        /// A reason for which the program has switched the motor off. The motor stays off.
         #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(rename_all = "snake_case")]
         pub enum Fault {
@@ -104,7 +103,7 @@ faults! {
         "Switch the Qube off: its motor may still have its last voltage. Plug the cable in, then switch the Qube on.";
     BoardRestarted: Reconnect,
         "the board has restarted (a loss of power?)",
-        "Switch the Qube off: its motor may still have had its last voltage. Check the board's supply and its USB cable.";
+        "Switch the Qube off: its motor may still have its last voltage. Check the board's supply and its USB cable.";
     OffUnconfirmed: Reconnect,
         "the device has not confirmed that the motor is off",
         "Switch the Qube off: its motor may still have its last voltage. Check the board's supply and its USB cable.";
@@ -113,7 +112,7 @@ faults! {
         "Close programs that keep this computer busy.";
     NotArmed: TryAgain,
         "the device was disarmed in the middle of a motion",
-        "Check whether another program uses the board, and the wires between board and Qube.";
+        "Check whether another program uses the board; check the wires between board and Qube.";
     EmergencyStop: Examine,
         "the emergency-stop switch was opened",
         "Make sure that nobody is near the arm, then close the switch. If nobody has opened it, check its wires.";
@@ -172,7 +171,7 @@ faults! {
         "arm and pendulum did not come to rest within 15 s",
         "Check whether something moves or holds arm or pendulum.";
     BrakingTimedOut: Examine,
-        "the arm still turned faster than 15 rad/s after 1 s of braking, or than 5 rad/s when the time for braking was over",
+        "the arm still turned faster than 15 rad/s after 1 s of braking, or faster than 5 rad/s at the end of the time for braking",
         "Switch the Qube off; check the motor and the arm's encoder.";
     HomingTimedOut: Examine,
         "the arm's stops were not found within 60 s",

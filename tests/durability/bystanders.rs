@@ -25,7 +25,7 @@ use qube_hil::storage::{Disk, DiskFile, Existing, FolderLock};
 
 use crate::schedules;
 use crate::simulated_disk::SimulatedDisk;
-use crate::sweep::plan;
+use crate::sweep::rollout_plan;
 use crate::watched_wire::WatchedWire;
 use crate::world::Wiring;
 
@@ -133,7 +133,7 @@ fn rig(wiring: &Wiring) -> Rig {
 const PATH: &str = "/rollout.mcap";
 
 fn rollout(rig: &Rig, disk: &dyn Disk) -> Result<(), RigError> {
-    let (plan, policy) = plan();
+    let (plan, policy) = rollout_plan();
     rig.rollout(disk, Path::new(PATH), plan.header(), &policy).map(drop)
 }
 

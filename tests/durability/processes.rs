@@ -42,7 +42,7 @@ impl Drop for Running {
     }
 }
 
-/// An emulated Qube in a process of its own, and its port.
+/// Starts an emulated Qube in a process of its own; returns the process and its port.
 fn emulate(directory: &Path) -> (Running, String) {
     let mut child = program(directory, &["emulate"])
         .stdout(Stdio::piped())
@@ -54,7 +54,7 @@ fn emulate(directory: &Path) -> (Running, String) {
 }
 
 /// Starts `run` with this number of rollouts on a port and waits until ticks of the first one are
-/// on disk. If a busy computer ends the homing, it starts again.
+/// on disk. If `run` ends before that, as on a busy computer, it is started again.
 fn run_until_a_rollout_is_under_way(directory: &Path, port: &str, rollouts: &str) -> Running {
     let recording = directory.join("out/rollout-0.mcap");
     let start = || {
@@ -100,14 +100,15 @@ fn a_second_program_on_a_port_is_refused_within_a_second_and_told_which_process_
             let messages = refused(directory.path(), &missing, &mut without_port);
             assert!(messages.contains("no such port"), "{messages}");
         }
-        // The time of the start of a process on this computer, however busy it is, does not count.
+        // The time that this computer needs to start a process does not count.
         let waited = fastest.saturating_sub(without_port);
         println!("refused within {fastest:?}, without a port within {without_port:?}");
         assert!(waited < Duration::from_secs(1), "refused only after {waited:?}");
     });
 }
 
-/// Runs `run` on a port that must be refused; returns the messages, and keeps the shortest time.
+/// Runs `run`, which must refuse this port; returns the messages, and lowers `fastest` to the
+/// duration if that is shorter.
 fn refused(directory: &Path, port: &str, fastest: &mut Duration) -> String {
     let arguments = ["run", "--policy", "classical", "--skip-check", "--out", "second", "--device"];
     let begun = Instant::now();
@@ -153,8 +154,8 @@ fn a_process_that_is_stopped_in_a_rollout_finds_the_watchdog_tripped_and_says_so
     });
 }
 
-/// A session of about a second: three candidates with two rollouts each, and two verification
-/// rollouts, of 60 steps each.
+/// A session of about a second: three candidates with two rollouts each, then two verification
+/// rollouts of the recommended psi and two of the incumbent's policy, of 60 steps each.
 const SMALL: &str = "seed = 5\nstrategy = \"random\"\n\
     [extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 2\nverification_rollouts = 2\n\
     steps = 60\n\

@@ -1,5 +1,5 @@
-//! Tests a failure of the wire at the i-th operation, for each i of a whole run and each kind:
-//! every run ends with the amplifier off and a correct recording.
+//! Tests a failure of the wire at the i-th operation, for each i of a whole run and each kind, or a
+//! sample of these: every run ends with the amplifier off, and each recording is correct.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -21,10 +21,10 @@ use crate::world::{STEPS, Wiring};
 
 /// The result of one run.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Outcome {
-    /// The device could not be opened or homed; nothing was begun.
+enum RunResult {
+    /// The device could not be opened or homed; no rollout was begun.
     NotOpened(String),
-    /// The device could not be armed; there is no recording, and the rollout is repeated.
+    /// The device could not be armed; there is no recording.
     NotArmed(String),
     /// A valid rollout.
     Finished,
@@ -35,7 +35,7 @@ enum Outcome {
 /// Performs one run: hello, homing, settling, 60 steps, braking. Returns its result, the number of
 /// operations on the wire, and the time from the last valid command until the amplifier went off,
 /// us.
-fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
+fn run(plan: Option<Plan>, method: HomingMethod) -> (RunResult, u64, u64) {
     let disk = SimulatedDisk::default();
     let wiring = Wiring::new(vec![plan], None, Arc::default());
     let stop = Arc::new(AtomicBool::new(false));
@@ -48,12 +48,12 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
                 matches!(error, RigError::Homing { fault, .. } if fault.may_be_repeated());
             let is_given_up = is_over && is_timing_fault;
             assert!(!is_given_up, "{plan:?}: homing was not tried again: {error}");
-            Outcome::NotOpened(named(&error))
+            RunResult::NotOpened(named(&error))
         }
         Ok(mut rig) => {
             let outcome = rollout(&rig, &disk);
-            // A single fault is over, so the rig must recover by itself.
-            if matches!(outcome, Outcome::Void(_))
+            // A failure of a single operation is over, so the rig must recover by itself.
+            if matches!(outcome, RunResult::Void(_))
                 && plan.is_some_and(|plan| !plan.lasting && plan.kind != Kind::Rename)
             {
                 rig.start_again().unwrap_or_else(|error| panic!("{plan:?}: {error}"));
@@ -66,7 +66,7 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (Outcome, u64, u64) {
 }
 
 /// A rollout of 60 steps by the classical controller, with its policy file.
-pub fn plan() -> (RolloutPlan, Vec<u8>) {
+pub fn rollout_plan() -> (RolloutPlan, Vec<u8>) {
     let plan = RolloutPlan {
         safety_box: SafetyBox::THESIS,
         steps: STEPS,
@@ -76,14 +76,14 @@ pub fn plan() -> (RolloutPlan, Vec<u8>) {
     (plan, policy)
 }
 
-fn rollout(rig: &Rig, disk: &SimulatedDisk) -> Outcome {
+fn rollout(rig: &Rig, disk: &SimulatedDisk) -> RunResult {
     let path = Path::new("/rollout.mcap");
-    let (plan, policy) = plan();
+    let (plan, policy) = rollout_plan();
     let recorded = match rig.rollout(disk, path, plan.header(), &policy) {
         Ok(recorded) => recorded,
         Err(error @ (RigError::Device(_) | RigError::NotBegun { .. })) => {
             assert!(!disk.exists(path), "a rollout that never began left a file");
-            return Outcome::NotArmed(named(&error));
+            return RunResult::NotArmed(named(&error));
         }
         Err(error) => panic!("{error}"),
     };
@@ -103,10 +103,10 @@ fn rollout(rig: &Rig, disk: &SimulatedDisk) -> Outcome {
         .sum();
     assert_eq!(missed, recorded.outcome.missed_deadlines, "not every missed deadline is marked");
     match (score(disk, path).unwrap(), recorded.outcome.ending) {
-        (Verdict::Result { .. }, Ending::Completed | Ending::LeftBox(_)) => Outcome::Finished,
+        (Verdict::Result { .. }, Ending::Completed | Ending::LeftBox(_)) => RunResult::Finished,
         (Verdict::Void { reason }, Ending::Fault(fault)) => {
             assert_eq!(reason, VoidReason::Fault(fault));
-            Outcome::Void(reason.to_string())
+            RunResult::Void(reason.to_string())
         }
         other => panic!("{other:?}"),
     }
@@ -131,7 +131,7 @@ struct Tally {
 /// Runs all combinations (operation, kind, single or permanent), or one in `stride`.
 fn sweep(method: HomingMethod, stride: u64) -> Tally {
     let (outcome, operations, _) = run(None, method);
-    assert_eq!(outcome, Outcome::Finished, "a run without faults does not finish");
+    assert_eq!(outcome, RunResult::Finished, "a run without faults does not finish");
     let cases = KINDS.len() as u64 * 2 * operations;
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
     let next = AtomicU64::new(0);
@@ -182,16 +182,16 @@ impl Drop for Case {
 }
 
 impl Tally {
-    fn count(&mut self, plan: Plan, (outcome, _, on_us): (Outcome, u64, u64)) {
+    fn count(&mut self, plan: Plan, (outcome, _, on_us): (RunResult, u64, u64)) {
         self.runs += 1;
         self.longest_on_us = self.longest_on_us.max(on_us);
         if plan.kind.is_ordinary() && !plan.lasting {
-            assert_eq!(outcome, Outcome::Finished, "an ordinary failure ended the run: {plan:?}");
+            assert_eq!(outcome, RunResult::Finished, "an ordinary failure ended the run: {plan:?}");
         }
         match outcome {
-            Outcome::Finished => self.finished += 1,
-            Outcome::Void(_) => self.void += 1,
-            Outcome::NotOpened(_) | Outcome::NotArmed(_) => self.not_begun += 1,
+            RunResult::Finished => self.finished += 1,
+            RunResult::Void(_) => self.void += 1,
+            RunResult::NotOpened(_) | RunResult::NotArmed(_) => self.not_begun += 1,
         }
     }
 }
@@ -220,20 +220,20 @@ fn a_device_that_comes_back_under_another_name_runs_again() {
         if let Ok(rig) = Rig::open(&wiring.clone().rig_settings(HomingMethod::Hand), &stop) {
             match rollout(&rig, &disk) {
                 // A rollout that has not ended is void, because the port is gone.
-                Outcome::Void(reason) => {
+                RunResult::Void(reason) => {
                     assert_eq!(reason, Fault::LinkGone.to_string(), "{plan:?}");
                     assert!(!is_over, "{plan:?}: an earlier loss of the port left a result");
                     voids += 1;
                 }
-                Outcome::Finished => is_over = true,
-                Outcome::NotOpened(_) | Outcome::NotArmed(_) => {}
+                RunResult::Finished => is_over = true,
+                RunResult::NotOpened(_) | RunResult::NotArmed(_) => {}
             }
         }
         let wire = wiring.last_wire().unwrap();
         let settings = wiring.reopened(wire).rig_settings(HomingMethod::Hand);
         let rig = Rig::open(&settings, &stop).unwrap_or_else(|error| panic!("{plan:?}: {error}"));
         let disk = SimulatedDisk::default();
-        assert_eq!(rollout(&rig, &disk), Outcome::Finished, "{plan:?}");
+        assert_eq!(rollout(&rig, &disk), RunResult::Finished, "{plan:?}");
     }
     assert!(voids > 0, "the port was never lost within a rollout");
 }

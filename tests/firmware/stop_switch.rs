@@ -10,10 +10,12 @@ use crate::qube::Qube;
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
 
-/// Longest reaction: the contact must be open for 3 ms, and sampling adds one period.
-const STOP_US: u64 = 3_000 + 2_000;
+/// Longest reaction, us: the board looks at the contact every 2 ms and sees it open up to 2 ms late;
+/// the contact must stay open for 3 ms, which ends at the second look after that.
+const STOP_US: u64 = 2_000 + 4_000;
 
-/// Largest error of the time of an order: one frame, and some of the simulator's time slices.
+/// Largest error of an order's time, us: one frame to the Qube, and a few of the simulator's time
+/// slices.
 const ORDER_US: u64 = 3_000;
 
 fn close(host: &mut Host) {

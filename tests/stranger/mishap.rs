@@ -35,8 +35,8 @@ impl MishapKind {
 enum Instant {
     /// After this many steps of the policy.
     Step(u32),
-    /// As soon as the policy drives and the arm's angle, extrapolated by 50 ms at its velocity, is
-    /// farther than this from the middle, rad.
+    /// The first tick after the policy's first step at which the arm's angle, extrapolated by 50 ms
+    /// at its velocity, is farther than this from the middle, rad; also while the arm brakes.
     Outward(f64),
     /// This many ticks after the brake's first tick.
     Brake(u32),

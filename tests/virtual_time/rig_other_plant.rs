@@ -110,7 +110,7 @@ fn a_high_resistance_motor_passes_and_is_found_when_dead() {
             .assert()
             .success();
 
-        // A motor without a supply is found, too.
+        // A disconnected motor is found, too.
         let fault = Some(EmulatorFault::DeadMotor { after_s: 0.0 });
         let dead = EmulatorSettings { model: plant.nominal(), fault, ..Default::default() };
         let settings = RigSettings { plant, ..RigSettings::emulated(dead.of_plant(&plant)) };

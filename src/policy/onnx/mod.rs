@@ -37,7 +37,7 @@ pub const MAX_OPERATORS: usize = 1000;
 #[derive(Debug, Error, PartialEq)]
 pub enum ImportError {
     /// The file is too large.
-    #[error("is larger than {MAX_FILE_BYTES} bytes, more than any policy")]
+    #[error("is larger than {} MiB, more than any policy", MAX_FILE_BYTES >> 20)]
     TooLarge,
     /// The graph has too many operators.
     #[error("has more than {MAX_OPERATORS} operators, more than any policy")]
@@ -56,7 +56,7 @@ pub enum ImportError {
         name: String,
     },
     /// A constant has another number of values than its shape requires, its shape or number of
-    /// values does not fit its place, or it is a bound that gives no number for the observation.
+    /// values does not fit its place, or, converted to a bound of the observation, it is no number.
     #[error("has a constant ({name:?}) whose values do not fit its shape or its place")]
     Values {
         /// Name of the constant, or its place.
@@ -110,9 +110,7 @@ pub enum ImportError {
         place: &'static str,
     },
     /// The first layer has another number of inputs than the observation has entries.
-    #[error(
-        "has a first layer for {inputs} inputs, and the observation that was named has {named} entries"
-    )]
+    #[error("has a first layer for {inputs} inputs, and the given observation has {named} entries")]
     Inputs {
         /// Inputs of the first layer.
         inputs: usize,
@@ -121,7 +119,7 @@ pub enum ImportError {
     },
     /// The limits of the output exclude a part of the motor's range.
     #[error(
-        "limits the voltage to {lower_v} V to {upper_v} V, and this program's networks have no limit below the motor's \
+        "limits the voltage to between {lower_v} V and {upper_v} V, and this program's networks cannot clip it below the motor's \
          {MAX_VOLTAGE_V} V of either sign: check the action scale. Without that limit the model would be another policy, \
          which may request {MAX_VOLTAGE_V} V"
     )]
@@ -150,9 +148,9 @@ pub enum ImportError {
         /// Requested limit.
         limit: f32,
     },
-    /// The corner of the velocity filter is no frequency of such a filter.
+    /// The corner frequency of the velocity filter is out of its range.
     #[error(
-        "was trained with a velocity filter of {corner_rad_s} rad/s: give a number above 0, at most 1000000"
+        "was trained with a velocity filter of {corner_rad_s} rad/s: give a corner frequency above 0 and at most 1 000 000 rad/s"
     )]
     Corner {
         /// Corner frequency that was given, rad/s.
