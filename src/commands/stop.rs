@@ -3,12 +3,16 @@
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::exit::Failure;
 use super::printable::print_message;
 use super::terminal;
+
+/// Longest time that the answer to Ctrl-C delays the end of a command.
+const LONGEST_ANSWER: Duration = Duration::from_millis(500);
 
 /// A request to stop, set by a signal, a key or the live view.
 #[derive(Clone, Debug, Default)]
@@ -17,6 +21,8 @@ pub struct Stop {
     pub flag: Arc<AtomicBool>,
     signal: Arc<AtomicUsize>,
     answer: Arc<Mutex<&'static str>>,
+    /// True while the answer to the first Ctrl-C is printed.
+    is_answering: Arc<AtomicBool>,
 }
 
 impl Stop {
@@ -38,11 +44,14 @@ impl Stop {
         let interrupted = AtomicBool::new(false);
         let answer = Arc::new(Mutex::new(answer));
         let answered = Arc::clone(&answer);
+        let is_answering = Arc::new(AtomicBool::new(false));
+        let answering = Arc::clone(&is_answering);
         ctrlc::set_handler(move || {
             if interrupted.swap(true, Ordering::Relaxed) {
                 terminal::leave();
                 std::process::exit(128 + SIGINT);
             }
+            answering.store(true, Ordering::Relaxed);
             // After SIGTERM or SIGHUP, a Ctrl-C does not change the exit code.
             if !interrupt.swap(true, Ordering::Relaxed) {
                 interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
@@ -50,10 +59,14 @@ impl Stop {
             let answer = *answered.lock().unwrap_or_else(PoisonError::into_inner);
             // Printing to a halted terminal or a full pipe may block, and must not delay the second
             // Ctrl-C.
+            let said = Arc::clone(&answering);
             let say = move || {
                 print_message(&format!("\n{answer} (Ctrl-C again ends the program at once)"));
+                said.store(false, Ordering::Relaxed);
             };
-            let _ = std::thread::Builder::new().name("answer".into()).spawn(say);
+            if std::thread::Builder::new().name("answer".into()).spawn(say).is_err() {
+                answering.store(false, Ordering::Relaxed);
+            }
         })
         .map_err(|error| handlers(error.to_string()))?;
         for kind in [SIGTERM, SIGHUP] {
@@ -61,7 +74,7 @@ impl Stop {
                 .and_then(|_| signal_hook::flag::register(kind, Arc::clone(&flag)))
                 .map_err(|error| handlers(error.to_string()))?;
         }
-        Ok(Self { flag, signal, answer })
+        Ok(Self { flag, signal, answer, is_answering })
     }
 
     /// Replaces the words that are printed after the first Ctrl-C.
@@ -74,9 +87,14 @@ impl Stop {
         self.flag.load(Ordering::Relaxed)
     }
 
-    /// The failure that ends a stopped command, with the exit code of its signal. A stop by a key
-    /// or by the live view has the exit code of Ctrl-C.
+    /// Returns the failure that ends a stopped command, with the exit code of its signal. A stop by
+    /// a key or by the live view has the exit code of Ctrl-C. The answer to Ctrl-C comes first,
+    /// unless the terminal takes no text.
     pub fn failure(&self, message: impl ToString) -> Failure {
+        let ended = Instant::now();
+        while self.is_answering.load(Ordering::Relaxed) && ended.elapsed() < LONGEST_ANSWER {
+            std::thread::sleep(Duration::from_millis(5));
+        }
         let signal = match self.signal.load(Ordering::Relaxed) {
             0 => SIGINT,
             signal => signal as i32,

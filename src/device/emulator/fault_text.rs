@@ -24,10 +24,7 @@ const FORMS: [(&str, &str); 28] = [
     ("frozen-alpha@S[+D]", "the pendulum's count stays [for D]"),
     ("jump-theta@S[:N]", "the arm's count jumps by 300 or N"),
     ("jump-alpha@S[:N]", "the pendulum's count jumps by 300 or N"),
-    (
-        "drifting-theta@S[:N]",
-        "the arm's count gains 300 or N counts a second, 1 to 100000 in either direction",
-    ),
+    ("drifting-theta@S[:N]", "the arm's count gains 300 or N (1 to 100000, or negative) a second"),
     ("scaled-theta@F", "the arm's encoder gives F times as many counts"),
     ("flipped-theta", "the arm's encoder is wired in reverse"),
     ("flipped-alpha", "the pendulum's encoder is wired in reverse"),
