@@ -7,15 +7,15 @@
 //!
 //! FOLDER holds chirps and swing-ups as CSV files; without FOLDER, `../shared/data/qube-recordings`
 //! is read. First the program fits a model for each chirp to the other chirps; then for each
-//! recording to all other recordings. The cable's rest angle comes from the fitted recordings of the same
-//! series, whose names differ in the last number only. Each entry of the table has the root mean
-//! square errors of theta and alpha in rad for one kind of motion, and the number of predictions
-//! in brackets. The name of a row for one recording ends with the duration of the fit.
+//! recording to all other recordings. The cable's rest angle comes from the fitted recordings of
+//! the same series, whose names differ in the last number only. Each entry of the table has the
+//! root mean square errors of theta and alpha in rad for one kind of motion, and the number of
+//! predictions in brackets. The name of a row for one recording ends with the duration of the fit.
 //!
-//! With `terms`, the program measures the worth of each term that the program adds to the thesis's equations:
-//! it fits again without friction, dead zones, cable or delay, and prints how much less likely the
-//! recordings that were left out become, in nats a prediction. The errors of predictions are
-//! taken as normally distributed, with the root mean square of the same errors on the fitted
+//! With `terms`, the program measures the worth of each term that `identify` adds to the thesis's
+//! equations: it fits again without friction, dead zones, cable or delay, and prints how much less
+//! likely the recordings that were left out become, in nats a prediction. The errors of predictions
+//! are taken as normally distributed, with the root mean square of the same errors on the fitted
 //! recordings as standard deviation.
 
 use std::path::{Path, PathBuf};

@@ -22,12 +22,12 @@ The plants of scripts/comparison/other-forms.toml, with further such effects who
   bearing     dry friction of 0.1 mN m in the pendulum's bearing
   stiffening  a cable with a cubic term of 0.1 mN m/rad^3
 
-The columns are the number of sessions that ended with a verified policy; then, of these, the number whose policy
-balanced in all of its verification rollouts, the mean return, the real rollouts (median and most), the motion of the
-Qube from homed to policy chosen (s, median and most: settling, policy and braking of these real rollouts), the number of sessions
-whose identification doubted the model or failed, the change of the voltage while the policy balances (V a tick, median
-and most), its sign changes (1/s, median and most), and the mean return of the nominal policy in one rollout. A session
-whose result is in FOLDER is not run again; one that failed continues.
+The columns are the number of sessions that ended with a verified policy, of all sessions; then, of these, the number
+whose policy balanced in all of its verification rollouts, the mean return, the real rollouts (median and most), the
+motion of the Qube from homed to policy chosen (s, median and most: settling, policy and braking of these real
+rollouts), the number of sessions whose identification doubted the model or failed, the change of the voltage while the
+policy balances (V a tick, median and most), its sign changes (1/s, median and most), and the mean return of the nominal
+policy in one rollout. A session whose result is in FOLDER is not run again; one that failed continues.
 Defaults: the first five plants, N = 10, S = 3000, M = identified, P = all processors, FOLDER session-study.
 """
 import argparse

@@ -116,8 +116,8 @@ impl Decoder {
         Self { buffer: [0; MAX_ENCODED_BYTES], length: 0 }
     }
 
-    /// Takes one byte. At a delimiter, returns the frame before it or the reason why the bytes before
-    /// it are no frame; otherwise, and if no bytes precede the delimiter, returns `None`.
+    /// Takes one byte. At a delimiter, returns the frame before it or the reason why the bytes
+    /// before it are no frame; otherwise, and if no bytes precede the delimiter, returns `None`.
     pub fn push(&mut self, byte: u8) -> Option<Result<Frame, FrameError>> {
         if byte != DELIMITER {
             if let Some(place) = self.buffer.get_mut(self.length) {

@@ -1,9 +1,9 @@
 //! The wire between a computer and the microcontroller at a Quanser Qube: messages, framing,
 //! scaling, version.
 //!
-//! Host and emulator share this code of the wire, and no other. The microcontroller's program is tested
-//! against `golden.txt`, and its `wire.h` is generated from this crate. The crate does no I/O,
-//! keeps no clock, allocates nothing and imports nothing of the project.
+//! Host and emulator share this code of the wire, and no other. The microcontroller's program is
+//! tested against `golden.txt`, and its `wire.h` is generated from this crate. The crate does no
+//! I/O, keeps no clock, allocates nothing and imports nothing of the project.
 //!
 //! ```
 //! use firmware_protocol::{Decoder, Request};

@@ -68,7 +68,7 @@ def identify(
     name: str = "identified",
     fixed: str | Iterable[str] = (),
 ) -> Identified:
-    """Fits a Qube to recordings by maximum likelihood.
+    """Fits a Qube to recordings: finds the maximum of the posterior, whose priors are weak.
 
     Args:
         recordings: Files, each named once, of the same plant: MCAP, or CSV with the columns of

@@ -59,8 +59,8 @@ impl PlantArguments {
         }
     }
 
-    /// Returns the emulated specimens of a plant on which policies run: the specimens in the file of
-    /// `--plants`, or the one that the other options describe.
+    /// Returns the emulated specimens of a plant on which policies run: the specimens in the file
+    /// of `--plants`, or the one that the other options describe.
     pub fn plants(&self, plant: &PlantModel) -> Result<Vec<Plant>, Failure> {
         let Some(path) = &self.plants else {
             let emulated = self.emulated.of_plant(plant)?;

@@ -9,9 +9,9 @@ pub fn ready() {
 }
 
 /// Reports that the session makes progress. The session calls this function at each of its events,
-/// and each thread that waits for a worker. So a session that hangs goes unnoticed until the
-/// trainings beside it have ended, or while other sessions run; after that no report comes, and
-/// systemd restarts the program.
+/// and each thread that waits for a worker. So a session that hangs goes unnoticed while trainings
+/// or other sessions run beside it; once they have ended, no report comes, and systemd restarts the
+/// program. There is no thread only for reports, because it would hide every hang.
 pub fn alive() {
     notify(NotifyState::Watchdog);
 }

@@ -1,5 +1,5 @@
-//! Controls the operator's terminal: sets it to single keys without echo, shows the screen of a long
-//! command on it, and restores it afterwards.
+//! Controls the operator's terminal: sets it to single keys without echo, shows the screen of a
+//! long command on it, and restores it afterwards.
 
 use std::fs::File;
 use std::io::{self, Write};

@@ -118,7 +118,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
     threads: u8,
 
-    /// Best instruction set of the processor to use; avx512 and avx2 give the same policy
+    /// Best instruction set to use, if the processor has it; avx512 and avx2 give the same policy
     #[arg(long, value_enum, default_value_t = InstructionSetName::Avx512)]
     instruction_set: InstructionSetName,
 

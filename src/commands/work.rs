@@ -39,8 +39,8 @@ pub struct Arguments {
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = seconds)]
     linger: f64,
 
-    /// Best instruction set of the processor to use; avx512 and avx2 give the same policies, and
-    /// plain is refused
+    /// Best instruction set to use, if the processor has it; avx512 and avx2 give the same policies,
+    /// and plain is refused
     #[arg(long, value_enum, default_value_t = InstructionSetName::Avx512)]
     instruction_set: InstructionSetName,
 }

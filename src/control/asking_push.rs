@@ -117,8 +117,8 @@ pub struct AskingPush {
     sent_ticks: u32,
     /// The last voltages sent, newest first, V.
     last_sent_v: [f64; 1 + SLOWEST_TICKS],
-    /// Sums that replace `sent_v` for a motor that is slower by 1 and by 2 periods, V: of the
-    /// voltages that have reached it.
+    /// Sums of the voltages that have reached the motor, in place of `sent_v`, if the motor is
+    /// slower by 1 and by 2 periods, V.
     reached_v: [f64; SLOWEST_TICKS],
     /// Sum of the pendulum's load in the same ticks.
     loaded: Load,

@@ -62,7 +62,7 @@ impl DeadMotor {
 
     /// Returns whether this sample shows no current under the voltage, mV, and the last driven
     /// sample did not either: at the instant at which a voltage changes its sign every motor draws
-    /// none. The earlier rules ask for this sample alone.
+    /// none. By the earlier rules this sample alone decides.
     pub(super) fn is_dead(&self, sample: &Measurement, voltage_mv: i16) -> bool {
         let is_dead = draws_no_current(sample, voltage_mv, self.current_per_qube_current);
         is_dead && (self.looks_when_driven || self.without_current_ticks > 0)

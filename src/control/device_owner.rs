@@ -217,9 +217,8 @@ impl DeviceOwner {
     }
 
     /// Watches where arm and pendulum come to rest, after a motion that ends in
-    /// [`ControlState::Ready`]. A device whose
-    /// samples report that its motor is on has not switched it off, even if its answer to the
-    /// disarm said so.
+    /// [`ControlState::Ready`]. A device whose samples report that its motor is on has not switched
+    /// it off, even if its answer to the disarm said so.
     fn keep_at_rest(&mut self, mut report: DriveReport) -> DriveReport {
         if self.state == ControlState::Ready {
             let (last, device) = (report.last_measurement.as_ref(), &mut *self.device);

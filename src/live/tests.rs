@@ -210,7 +210,8 @@ fn a_viewer_that_writes_all_the_time_gets_the_feed_too() {
     let ended = Arc::new(AtomicBool::new(false));
     let seen = Arc::clone(&ended);
     let writer = std::thread::spawn(move || {
-        // These bytes are a masked ping without data.
+        // These bytes are a masked ping without data. On a busy computer 1000 of them take longer,
+        // as everything does, so they serve as the deadline.
         for _ in 0..1000 {
             let is_written = busy.write_all(&[0x89, 0x80, 0, 0, 0, 0]).is_ok();
             if !is_written || seen.load(Ordering::Relaxed) {

@@ -277,7 +277,7 @@ mod tests {
             excitation.voltage_v(&State { alpha, alpha_dot, ..State::default() })
         };
         assert_eq!(at(0.0, 0.0), 1.0);
-        // Below the horizontal, a push against the pendulum's velocity raises it.
+        // Below the horizontal, a push against the pendulum's velocity raises the pendulum.
         assert_eq!([at(0.1, 2.0), at(0.5, -1.0), at(-0.1, -2.0)], [-1.0, 1.0, 1.0]);
         // The swing to 1.4 rad is high enough, so the next pushes calm the pendulum.
         assert_eq!(

@@ -107,8 +107,8 @@ impl DelayLine {
                 newer_v = older_v;
             }
             // With the longest delay, a whole number of periods, the voltage does not change within
-            // the period. The line does not store the command before it, so `before_v` is the
-            // voltage of this period too.
+            // the period. The line does not store the command that acted in the period before, so
+            // `before_v` is the voltage of this period too.
             let oldest = self.whole_periods[lane] == MAX_HISTORY as f32;
             self.before_v[lane] = if oldest { newer_v } else { before_v };
             self.after_v[lane] = if oldest { newer_v } else { after_v };

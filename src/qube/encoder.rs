@@ -42,8 +42,8 @@ impl Encoder {
     pub const QUBE: Self = Self { counts_per_revolution: COUNTS_PER_REVOLUTION };
 
     /// Fewest counts a revolution: 250 lines, four edges each. At this limit one count in a control
-    /// period of 10 ms is 0.6 rad/s; the watches of the sensors would report coarser encoders as
-    /// frozen.
+    /// period of 10 ms is 0.6 rad/s; the watches of the sensors would report healthy encoders that
+    /// are coarser as frozen.
     const FEWEST: i32 = 1000;
 
     /// Most counts a revolution. With more, the 32-bit count of a pendulum that spins could

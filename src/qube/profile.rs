@@ -29,8 +29,7 @@ pub struct Profile {
     /// Standard error by quantity name, each in the unit of its quantity.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub standard_errors: BTreeMap<String, f64>,
-    /// Correlations of the errors; `None` if the file gives no correlations, which counts as 0 for
-    /// each.
+    /// Correlations of the errors; `None` if the file gives no correlations, which then count as 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlations: Option<Correlations>,
     /// Recordings and program that the profile was identified with.

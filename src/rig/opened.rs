@@ -326,7 +326,7 @@ impl Rig {
             self.latch(fault);
         }
         if examination.passed() {
-            // A restart of the board does not end the examination.
+            // The board may have restarted without ending the examination.
             let identity = self.control.hello()?;
             self.accept_restart(identity)?;
         }

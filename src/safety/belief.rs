@@ -124,9 +124,9 @@ fn are_none(steps: &[Step; Quantity::COUNT]) -> bool {
 impl Belief {
     /// The belief about an unidentified Qube: each parameter except gravity lies within this
     /// fraction of its nominal value. Compared with the Qube whose recordings are public, friction
-    /// and cable are at most 1.6 times as strong, the delay is at most twice as long, and each
-    /// dead zone is at most slightly wider than that Qube's wider one. The whole of a voltage
-    /// arrives at the motor.
+    /// and cable are at most 1.6 times as strong, the delay is at most twice as long, and each dead
+    /// zone is at most slightly wider than that Qube's wider one. The whole of a voltage arrives at
+    /// the motor.
     #[must_use]
     pub fn of_any_qube(within: f64) -> Self {
         Self::of_any_plant(&PlantModel::QUBE, within)

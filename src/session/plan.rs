@@ -172,7 +172,7 @@ fn unfinished(
 }
 
 /// The next step of a candidate: its training, its next rollout, or giving this rollout up after
-/// too many faults. `None` if the candidate is finished.
+/// too many void attempts. `None` if the candidate is finished.
 fn lacking(
     it: &Candidate,
     extent: &Extent,

@@ -38,8 +38,8 @@ impl Candidate {
     }
 
     /// Returns whether this candidate runs the policy of `other` again, to verify it. An older
-    /// program's ledger does not name the other candidate; there both candidates have the same
-    /// point.
+    /// program's ledger does not name the other candidate, which is then recognised by the point
+    /// that both share.
     #[must_use]
     pub fn runs_policy_of(&self, other: &Self) -> bool {
         let is_same = match self.policy_of {

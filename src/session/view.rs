@@ -93,7 +93,7 @@ pub struct ScoredCandidate {
     pub verdicts: Vec<Verdict>,
     /// Quietness of the balancing in these rollouts.
     pub quietness: Quietness,
-    /// Name of the model that the policy of these rollouts was trained in without psi, although the
+    /// Name of the model that the policy of these rollouts was trained in without psi, also if the
     /// candidate has a point: a policy for an unidentified Qube competes if an identification is
     /// doubted. `None` if the policy was trained for a psi or is no network.
     pub model_without_psi: Option<String>,

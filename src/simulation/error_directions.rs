@@ -15,7 +15,8 @@ impl Direction {
     /// To compare quantities of different units, the width of a direction is measured in the
     /// standard deviations of the distribution `robust` for the profile's plant, the belief about a
     /// specimen before any data. For a quantity that `robust` holds constant, the unit of width is
-    /// a tenth of its nominal value; if the plant's nominal value is 0, it is the standard error.
+    /// a tenth of its nominal value; for any quantity whose nominal value is 0 in the plant, it is
+    /// the standard error.
     #[must_use]
     pub fn of_errors(profile: &Profile, plant: &PlantModel) -> Vec<Self> {
         let quantities: Vec<Quantity> =

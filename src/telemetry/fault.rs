@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Consequence {
-    /// A session or experiment repeats the rollout a limited number of times, because nothing points
-    /// to a defect of the Qube. Before each repetition it sends the board a hello, waits until the arm
-    /// has been at rest for 1 s, and homes.
+    /// A session or experiment repeats the rollout a limited number of times, because nothing
+    /// points to a defect of the Qube. Before each repetition it sends the board a hello, waits
+    /// until the arm has been at rest for 1 s, and homes.
     TryAgain,
     /// The program opens the same port again, because the link is lost. It tries for a limited time
     /// and accepts only the same board. Then it continues as with [`TryAgain`](Self::TryAgain),

@@ -22,7 +22,8 @@ pub struct CheckResult {
 /// Help with the remedy of a failed check, for which a program may have a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hint {
-    /// A command finds the signs of the encoders and the motor, and writes them into the Qube's file.
+    /// A command finds the signs of the encoders and the motor, and writes them into the Qube's
+    /// file.
     FindSigns,
     /// A test shows whether the board conforms to the protocol.
     TestConformance,

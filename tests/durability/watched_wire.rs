@@ -59,7 +59,10 @@ impl WatchedWire {
             assert_eq!(board.applied_mv(), 0, "the amplifier is off and has a voltage");
             let off_us = board.switched_off_us()?;
             let later_us = off_us.saturating_sub(last_us);
-            assert!(later_us <= WATCHDOG_US + POLL_US, "it is off {later_us} us after a command");
+            assert!(
+                later_us <= WATCHDOG_US + POLL_US,
+                "the amplifier went off {later_us} us after the last command"
+            );
             Some(later_us)
         })
     }

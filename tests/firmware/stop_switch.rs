@@ -10,8 +10,8 @@ use crate::qube::Qube;
 use crate::simulated_board::{Order, SimulatedBoard};
 use crate::toolchain::{Chip, toolchain};
 
-/// Longest reaction, us: the board looks at the contact every 2 ms and sees it open up to 2 ms late;
-/// the contact must stay open for 3 ms, which ends at the second look after that.
+/// Longest reaction, us: the board looks at the contact at least every 2 ms and sees it open up to
+/// 2 ms late; the contact must stay open for 3 ms, which have passed by the second look after that.
 const STOP_US: u64 = 2_000 + 4_000;
 
 /// Largest error of an order's time, us: one frame to the Qube, and a few of the simulator's time

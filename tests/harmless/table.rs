@@ -16,8 +16,8 @@ const FASTEST_CONTACT_RAD_S: f64 = 2.0;
 const FOUND_WITHIN_S: f64 = 0.3;
 
 impl Trial {
-    /// Returns whether no contact with a stop while homing or settling was faster than
-    /// [`FASTEST_CONTACT_RAD_S`], or more than 1 % faster than with the amplifier off.
+    /// Returns whether every contact with a stop while homing or settling was at most as fast as
+    /// [`FASTEST_CONTACT_RAD_S`], or at most 1 % faster than with the amplifier off.
     pub fn is_harmless(&self) -> bool {
         self.contact_before_policy_rad_s <= FASTEST_CONTACT_RAD_S.max(1.01 * self.contact_off_rad_s)
     }

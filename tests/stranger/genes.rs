@@ -1,8 +1,8 @@
 use qube_hil::elementary::normal_pair;
 use rand::{Rng, RngExt};
 
-/// A reader of genes, one after the other. Each gene is about normally distributed; genes
-/// beyond the last are zero.
+/// A reader of genes, one after the other. Each gene is about normally distributed; genes beyond
+/// the last are zero.
 pub struct Genes<'a> {
     rest: std::slice::Iter<'a, f64>,
     read: usize,

@@ -27,8 +27,8 @@ pub fn plot_folder(folder: &Path) -> Result<OutputFolder, Failure> {
 }
 
 /// Draws each recording with its open-loop simulation, and the correlations of the profile, into a
-/// folder. A recording that cannot be simulated is left out with a warning. Returns a line with
-/// the number of recordings that were drawn.
+/// folder. A recording that cannot be simulated is left out with a warning. Returns a line with the
+/// number of recordings that were drawn.
 pub fn draw(
     folder: &Path,
     recordings: &Recordings<2>,

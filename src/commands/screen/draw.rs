@@ -87,7 +87,7 @@ pub fn draw(
         Overlay::Help => draw_box(frame, "Help", &help(state), styles),
         Overlay::Quit => {
             let text = format!(
-                "Stop now and quit? {}.\n\ny or space  yes     any other key  continue",
+                "Stop now and quit? {}.\n\ny, space  yes     other keys  continue",
                 capital(state.stop_effect)
             );
             draw_box(frame, "Quit", &text, styles);

@@ -96,8 +96,7 @@ impl SessionTable {
         text.push_str(&self.identification_lines());
         if report.void_rollouts > 0 {
             let void = report.void_rollouts;
-            let _ =
-                writeln!(text, "rollouts that a fault made void and that were repeated: {void}");
+            let _ = writeln!(text, "void attempts at rollouts, which were repeated: {void}");
         }
         text.push_str(&observer_resets_line(report.observer_resets));
         text.push_str(&timing_lines(&report.latencies));

@@ -24,7 +24,7 @@ const FORMS: [(&str, &str); 28] = [
     ("frozen-alpha@S[+D]", "the pendulum's count stays [for D]"),
     ("jump-theta@S[:N]", "the arm's count jumps by 300 or N"),
     ("jump-alpha@S[:N]", "the pendulum's count jumps by 300 or N"),
-    ("drifting-theta@S[:N]", "the arm's count gains 300 or N (1 to 100000, or negative) a second"),
+    ("drifting-theta@S[:N]", "the arm's count gains 300 or N a second, |N| from 1 to 100000"),
     ("scaled-theta@F", "the arm's encoder gives F times as many counts"),
     ("flipped-theta", "the arm's encoder is wired in reverse"),
     ("flipped-alpha", "the pendulum's encoder is wired in reverse"),
@@ -42,7 +42,7 @@ const FORMS: [(&str, &str); 28] = [
     ("stall@S", "the Qube reports a stall"),
     ("qube-absent@S[+D]", "the Qube does not answer its board [is off for D]"),
     ("unplug@S[+D]", "the USB cable is pulled [for D]"),
-    ("power-loss@S, brown-out@S, board-restart@S", "the board loses its supply, or restarts"),
+    ("power-loss@S, brown-out@S, board-restart@S", "the board loses power for good, or restarts"),
     ("emergency-stop@S", "the emergency-stop switch is pressed for 2 s"),
 ];
 

@@ -6,8 +6,8 @@ pub struct DeviceTime {
 }
 
 impl DeviceTime {
-    /// The time of a sample, us, from the device's 32-bit clock. The first sample keeps its 32
-    /// bits.
+    /// The time of a sample, us, from the device's 32-bit clock. The first sample has the clock's
+    /// own value.
     pub fn unwrap_us(&mut self, raw_us: u32) -> u64 {
         let time_us = match self.time_us {
             None => u64::from(raw_us),

@@ -2,7 +2,7 @@
 //!
 //! | file | meaning |
 //! | --- | --- |
-//! | `folder.json` | program version, the times by which a process counts as dead, number of tries |
+//! | `folder.json` | program version, times by which a process counts as dead, number of tries |
 //! | `jobs/FINGERPRINT` | an open job |
 //! | `claims/FINGERPRINT.N` | try N of the job, from 0: exclusive, grows while its worker lives |
 //! | `results/FINGERPRINT` | policy and learning curve, or the reason of the failure |

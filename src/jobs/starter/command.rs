@@ -89,7 +89,7 @@ pub fn needs_quotes(text: &str) -> bool {
     text.is_empty() || text.chars().any(is_special)
 }
 
-/// Returns whether a letter is of ASCII and has no special meaning to any shell.
+/// Returns whether a letter is in ASCII and has no special meaning to any shell.
 fn is_plain(letter: char) -> bool {
     letter.is_ascii_alphanumeric() || "/._-+=:,@%".contains(letter)
 }

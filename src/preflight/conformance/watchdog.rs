@@ -28,10 +28,10 @@ fn ensure_clock_runs(begin_ns: Nanoseconds, asked_ns: Nanoseconds) -> Result<(),
     Ok(())
 }
 
-/// Repeats an action until the watchdog has tripped. Fails if the watchdog has tripped less than 50
-/// ms after `fed_us`, has not tripped more than 55 ms after it (5 ms are one poll of the watchdog),
-/// or has tripped and the motor is not off. `fed_us` is the time of the last arm or act. All times
-/// are by the device's clock, which must run.
+/// Repeats an action until the watchdog has tripped. Fails if the watchdog trips less than 50 ms
+/// after `fed_us`, if a sample more than 55 ms after `fed_us` shows that it has not tripped (5 ms
+/// are one poll of the watchdog), or if the motor is not off after the trip. `fed_us` is the time
+/// of the last arm or act. All times are by the device's clock, which must run.
 pub(super) fn trips_while(
     test_host: &mut TestHost<'_>,
     fed_us: u32,

@@ -38,9 +38,10 @@ const CURRENT_FROM_V: f64 = 1.0;
 /// current: about 1 rad/s at 0.25 V. The current of a motor that is held stays constant.
 const TURNING_DROP: f64 = 0.15;
 
-/// Least shift, from before some pushes to after them, that shows an arm and no pendulum, counts of
-/// a Qube, or of a coarser encoder: 0.03 rad. A free pendulum hangs at the same angle before and
-/// after the pushes; the middle of its swing, which decays, lies up to five counts from this angle.
+/// Least shift, from before some pushes to after them, that distinguishes an arm from a pendulum,
+/// counts of a Qube, or of a coarser encoder: 0.03 rad. A free pendulum hangs at the same angle
+/// before and after the pushes; the middle of its swing, which decays, lies up to five counts from
+/// this angle.
 const SHIFTED_COUNTS: f64 = 10.0;
 
 /// Largest ratio of the arm's shift to the pendulum's with which the encoders count as exchanged:

@@ -209,7 +209,7 @@ fn add_curves(page: &mut Page, source: &SessionSource) {
 }
 
 fn add_faults(page: &mut Page, source: &SessionSource) {
-    page.section("Faults");
+    page.section("Void attempts");
     if source.void.is_empty() {
         page.paragraph("No attempt at a rollout was void.");
     } else {

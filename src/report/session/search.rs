@@ -85,8 +85,8 @@ fn add_table(page: &mut Page, source: &SessionSource) {
     if !rows.is_empty() {
         page.table(&["candidate", "purpose", "mean return", "successes", "psi"], &rows, best);
         page.paragraph(
-            "Purpose: an excitation identifies the Qube; the search starts from the initial candidates; it \
-             proposes the next ones from the returns so far; the recommended one has the highest expected return; \
+            "Purpose: an excitation identifies the Qube; the search starts from the initial candidates; the \
+             candidates of the search follow from the returns so far; the recommended one has the highest expected return; \
              \"N again\" is candidate N's own policy, run once more; nominal is a policy that was trained on the nominal Qube. \
              Psi determines the simulations in which a policy trains.",
         );

@@ -139,7 +139,7 @@ impl Session {
 
     /// Returns whether another excitation may be recorded, after excitations that cannot be fitted
     /// or after the Qube contradicted its profile. A session may record as many extra excitations
-    /// in all as it may repeat a rollout after a fault.
+    /// in all as it may repeat a void rollout.
     fn may_excite_again(&self) -> bool {
         let planned = self.settings.identification.unwrap_or_default().excitations;
         let made = self.ledger.state().count_of(Purpose::Excitation);

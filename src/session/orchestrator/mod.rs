@@ -62,7 +62,7 @@ pub struct Session {
     reported_left_out: HashSet<(u32, u32)>,
     /// Rollout that an earlier process gave up; `None` if there is none.
     given_up_before: Option<GivenUpBefore>,
-    /// Index of the rig at whose opening, doubt or rollout the last run ended early; `None` if it
+    /// Index of the rig whose opening, doubt or rollout ended the last run early; `None` if the run
     /// ended otherwise.
     ended_by: Option<usize>,
 }

@@ -17,7 +17,7 @@ const BATCH: usize = 64;
 /// information.
 const FARTHEST_FEATURE: f64 = 5.0;
 
-/// One in this many samples is held out, to choose between the networks after the passes.
+/// One in this many samples is held out. Their loss chooses between the networks after each pass.
 const HELD_OUT_EVERY: usize = 10;
 
 /// Adam's learning rate in the first and the last step.
