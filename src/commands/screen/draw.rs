@@ -244,10 +244,13 @@ fn columns(training: &Training, width: usize) -> Vec<u64> {
 }
 
 fn draw_rollout(frame: &mut Frame, area: Rect, rollout: &RolloutState, styles: Styles) {
-    let title = match (rollout.limits.is_some(), rollout.candidate) {
-        (false, _) => "Rollout".to_owned(),
-        (true, Some(candidate)) => format!("Rollout {} of candidate {candidate}", rollout.rollout),
-        (true, None) => format!("Rollout {}", rollout.rollout),
+    let title = match (&rollout.limits, &rollout.name) {
+        (None, _) => "Rollout".to_owned(),
+        (Some(_), Some(name)) if rollout.is_excitation => {
+            format!("Rollout {}: {name}", rollout.rollout)
+        }
+        (Some(_), Some(name)) => format!("Rollout {} of {name}", rollout.rollout),
+        (Some(_), None) => format!("Rollout {}", rollout.rollout),
     };
     let block = panel(&title, styles);
     let inner = block.inner(area);

@@ -10,9 +10,9 @@ use crate::telemetry::{LatencySummary, Phase, RolloutHeader, RolloutOutcome, Tic
 /// The state of a rollout on the screen.
 #[derive(Clone, Debug, Default)]
 pub struct RolloutState {
-    /// Number of the candidate in its session, or of the policy in its experiment; `None` for
-    /// another rollout.
-    pub candidate: Option<u32>,
+    /// Name of the candidate in its session, of the policy in its experiment, or of the excitation;
+    /// `None` for another rollout.
+    pub name: Option<String>,
     /// Number of the rollout.
     pub rollout: u32,
     /// True if an excitation runs rather than a policy.
@@ -73,7 +73,7 @@ impl Viewer for RolloutPanel {
         let mut locked = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let (ticks, missed) = (locked.0.ticks, locked.0.missed);
         let state = RolloutState {
-            candidate: header.candidate,
+            name: header.candidate.map(|_| header.policy.clone()),
             rollout: header.rollout,
             is_excitation: header.policy.starts_with("excitation"),
             is_running: true,

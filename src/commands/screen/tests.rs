@@ -78,7 +78,7 @@ fn near_a_limit() -> RolloutState {
     let tick =
         TickRecord { phase: Phase::Running, state, voltage_mv: -2350, ..TickRecord::default() };
     RolloutState {
-        candidate: Some(3),
+        name: Some("candidate 3".into()),
         rollout: 1,
         is_excitation: false,
         is_running: true,
@@ -106,6 +106,20 @@ fn a_rollout_shows_its_state_between_its_limits() {
     state.pause = Pause::Asked;
     state.live = "http://127.0.0.1:8765/".into();
     is_as("rollout", &drawn((80, 24), &state, &near_a_limit(), Styles::new(true)));
+}
+
+#[test]
+fn a_rollout_has_the_name_of_its_policy_or_excitation() {
+    for (name, is_excitation, title) in [
+        (Some("robust 2"), false, "Rollout 1 of robust 2 "),
+        (Some("excitation by chirp"), true, "Rollout 1: excitation by chirp "),
+        (None, false, "Rollout 1 "),
+    ] {
+        let name = name.map(str::to_owned);
+        let rollout = RolloutState { name, is_excitation, ..near_a_limit() };
+        let shown = text(&drawn((80, 24), &in_training(), &rollout, Styles::new(true)));
+        assert!(shown.contains(title), "{title:?} is missing:\n{shown}");
+    }
 }
 
 #[test]

@@ -23,8 +23,7 @@
       facts.push(["best so far", fixed(status.best_return, 1, "of 600")], ["time left", timeLeft(status.time_left_s)]);
     }
     if (rollout) {
-      const name = rollout.candidate == null ? `${rollout.rollout}` : `${rollout.rollout} of candidate ${rollout.candidate}`;
-      facts.push(["rollout", name], ["policy", rollout.policy]);
+      facts.push(["rollout", `${rollout.rollout}`], ["policy", rollout.policy]);
       const isOver = end && end.number === rollout.number;
       facts.push(["phase", isOver ? end.ending : latest ? rollout.phases[latest[4]] : "–"]);
     }
