@@ -1,10 +1,10 @@
-//! The bodies of the fuzz targets, which process bytes of any origin. The fuzzer runs them on
-//! generated input and `tests/virtual_time/fuzz_corpus.rs` on the corpus. Each returns whether the
-//! bytes were accepted.
+//! The bodies of the fuzz targets: public functions that process bytes of any origin. The fuzzer
+//! runs them on generated input and `tests/virtual_time/fuzz_corpus.rs` on the corpus. Each returns
+//! whether the bytes were accepted.
 //!
-//! Depending on the first byte, the bodies of `wire`, `recording` and `ledger` take the bytes as
-//! they are or give them a correct checksum first: bytes with a wrong checksum are refused before
-//! any of their content is read.
+//! Depending on the first byte, `wire`, `recording` and `ledger` take the bytes as they are or give
+//! them a correct checksum, and `recording` a file around them, first: bytes with a wrong checksum
+//! are refused before any of their content is read.
 #![allow(dead_code)]
 
 use std::collections::BTreeMap;
@@ -65,7 +65,8 @@ fn decoded(encoded: &EncodedFrame) -> Option<Frame> {
 }
 
 /// Splits the bytes into contents and encodes each as a valid frame. A content is the payload's
-/// length, taken modulo 26, the type, taken modulo 16, the sequence number and the payload.
+/// length, taken modulo 26, the type, taken modulo 16, the sequence number and the payload, which
+/// is shorter where the bytes end.
 fn with_checksums(mut bytes: &[u8]) -> impl Iterator<Item = u8> + '_ {
     let mut frames = Vec::new();
     while let [length, message_type, low, high, rest @ ..] = bytes {
@@ -78,8 +79,8 @@ fn with_checksums(mut bytes: &[u8]) -> impl Iterator<Item = u8> + '_ {
 }
 
 /// Sends the bytes to a device and checks that its amplifier is on no longer than the watchdog
-/// allows and never at more than 5 V. The device has accepted the bytes if they hold a hello of its
-/// version.
+/// allows and never at more than 5 V. The device has accepted the bytes if the last hello in them
+/// is of its version.
 fn to_board(bytes: impl Iterator<Item = u8>) -> bool {
     let mut board = Board::new(EmulatorSettings::default());
     let mut now_us = 0;
@@ -92,7 +93,7 @@ fn to_board(bytes: impl Iterator<Item = u8>) -> bool {
         } else {
             assert_eq!(board.applied_mv(), 0);
         }
-        assert!(board.applied_mv().abs() <= 5_020, "the nearest count to 5 V is 4997 mV");
+        assert!(board.applied_mv().abs() <= 5_020, "more than the count nearest to 5 V, 4997 mV");
     }
     board.state() != DeviceState::Idle
 }
@@ -159,7 +160,7 @@ pub fn policy(bytes: &[u8]) -> bool {
 }
 
 /// Reads a recording and checks that, if any of it can be used, it is scored without a panic. The
-/// bytes are accepted if no record is lost.
+/// bytes are accepted if every byte can be used.
 pub fn recording(bytes: &[u8]) -> bool {
     let Some((&mode, rest)) = bytes.split_first() else { return false };
     let parsed = match mode {
@@ -246,7 +247,8 @@ fn block(content: &[u8]) -> Vec<u8> {
     chunk
 }
 
-/// Reads a configuration and checks that, if it is accepted, it survives a round trip.
+/// Reads a configuration and checks that, if it is accepted and has a form in TOML, it survives a
+/// round trip.
 pub fn configuration(bytes: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(bytes) else { return false };
     let path = Path::new("session.toml");

@@ -1,5 +1,5 @@
-//! Tests that the control thread allocates nothing from the first deadline of a motion to its last
-//! act, over a real pty as well as in virtual time.
+//! Tests that the loop of the control thread allocates and releases nothing from the first deadline
+//! of a motion to its last act, over a real pty as well as in virtual time.
 
 #[path = "real_time/busy_computer.rs"]
 mod busy_computer;
@@ -368,7 +368,7 @@ fn a_rollout_that_loses_samples_allocates_nothing() {
     assert!(outcome.missed_deadlines > 50, "{outcome:?}");
 }
 
-/// The classical controller, which raises the flag of a stop in its 60th tick.
+/// The classical controller, which raises the flag of a stop at its 60th step.
 struct Stopping<'a>(ClassicalController, u32, &'a AtomicBool);
 
 impl Controller for Stopping<'_> {

@@ -14,7 +14,7 @@ const LARGEST_BYTES: usize = 32 << 20;
 
 static IN_USE: AtomicUsize = AtomicUsize::new(0);
 static PEAK: AtomicUsize = AtomicUsize::new(0);
-/// Lock that lets one test run at a time, because the counters include all its allocations.
+/// Lock that lets one test run at a time, because the counters include every thread's allocations.
 static TURN: Mutex<()> = Mutex::new(());
 
 /// The system's allocator, which counts the bytes in use.
@@ -84,7 +84,7 @@ fn is_read_with_little_memory(_turn: &MutexGuard<'_, ()>, more: &[u8]) {
 }
 
 #[test]
-fn channel_names_that_unpack_to_gigabytes_need_little_memory() {
+fn channel_names_that_unpack_to_a_gigabyte_need_little_memory() {
     let turn = turn();
     // 250 channels of 4 MB each, packed to some 16 kB each.
     let name = text(&vec![b'x'; 4_000_000]);

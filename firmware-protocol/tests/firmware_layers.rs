@@ -1,6 +1,6 @@
 //! Tests the firmware's pure layers, compiled for this computer with warnings as errors and, where
-//! the compiler has them, with sanitisers: the layers agree with `golden.txt` and, on arbitrary
-//! bytes, with this crate.
+//! the compiler has them, with sanitisers: the layers agree with `golden.txt` and, on random bytes
+//! and counts, with this crate; emergency stop and watchdog act as PROTOCOL.md says.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -30,7 +30,8 @@ fn compile(flags: &[&str], program: &Path) -> bool {
 }
 
 /// The path of the C program, which is compiled once for each run of the tests. If it cannot be
-/// compiled with sanitisers, it is compiled without them, and a line on stderr says so.
+/// compiled with sanitisers, it is compiled without them, and a line on stderr says so; with
+/// `QUBE_HIL_REQUIRE_FIRMWARE` set, the tests fail instead.
 fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
@@ -104,11 +105,11 @@ fn the_firmware_agrees_with_the_golden_file() {
     assert_eq!(ask(&questions), expected);
 }
 
-/// Tests the emergency-stop switch by lists of events. A question says whether the switch is fitted
-/// (1 or 0) and lists events: a millisecond with closed (`c`) or open (`o`) contact, a Hello (`h`),
-/// an Arm (`a`). In the answers, a number is the state after an event (1 Greeted, 2 Armed, 4
-/// Faulted), `!` means that the switch is latched as open, `r` is an Arm that is refused for it,
-/// `?` a board that knows of no emergency-stop switch.
+/// Tests the emergency-stop switch by lists of events. A question says whether the board knows of a
+/// switch at its start (1 or 0) and lists events: a millisecond with closed (`c`) or open (`o`)
+/// contact, a Hello (`h`), an Arm (`a`). In the answers, a number is the state after an event (1
+/// Greeted, 2 Armed, 4 Faulted), `!` means that the switch is latched as open, `r` is an Arm that
+/// is refused for it, `?` a board that knows of no emergency-stop switch.
 #[test]
 fn the_firmware_latches_the_emergency_stop_until_hello() {
     let closed = "c".repeat(101);

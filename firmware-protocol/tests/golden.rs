@@ -1,5 +1,6 @@
-//! Tests `golden.txt`, which holds the wire's bytes for implementations in any language: this crate
-//! writes exactly these bytes, and reads them back.
+//! Tests `golden.txt`, which holds examples of the protocol for implementations in any language:
+//! this crate writes exactly the bytes of its frames and reads them back, and drops, converts and
+//! compares as the file says. The frames in PROTOCOL.md are among those of the file.
 
 use firmware_protocol::scaling::{
     current_ma, motor_counts, motor_voltage_mv, motor_word, tachometer_counts_s,

@@ -50,8 +50,8 @@ def checked_env():
 
 
 class UntilLearnt(BaseCallback):
-    """Ends the training once the policy's mean return over 100 episodes is 3 above the target, which leaves room for the
-    test on other episodes; keeps the best policy."""
+    """Every five updates, measures the policy's mean return over 100 episodes and keeps the best policy. Ends the
+    training once that return is 3 above the target, a margin for the test on other episodes."""
 
     def __init__(self):
         super().__init__()
@@ -108,7 +108,8 @@ def mean_return(policy, seed):
 
 
 def agrees(policy, outputs, observations, scale_v=5.0):
-    """Asserts that a policy gives these outputs within a millionth of the range of 10 V; returns the difference, V."""
+    """Asserts that a policy's voltages are these outputs times the scale, limited to 5 V, within a millionth of the
+    range of 10 V; returns the largest difference, V."""
     expected = np.clip(scale_v * outputs.reshape(-1, 1), -5.0, 5.0)
     difference = np.abs(policy.voltage_v(observations) - expected).max()
     assert difference < 1e-6 * 10.0, difference
@@ -116,7 +117,7 @@ def agrees(policy, outputs, observations, scale_v=5.0):
 
 
 class Deterministic(nn.Module):
-    """The module that SB3's manual puts around an actor before the export."""
+    """The module that SB3's manual puts around a policy before the export."""
 
     def __init__(self, policy):
         super().__init__()

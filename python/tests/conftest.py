@@ -1,4 +1,4 @@
-"""Recordings and a session that the program makes in virtual time."""
+"""Shared by the tests: calls of the program, and a recording and a session that it makes in virtual time."""
 
 import atexit
 import os
@@ -19,7 +19,8 @@ FOLDER = Path(__file__).resolve().parent.parent
 
 
 def beside(name):
-    """A file or folder of the repository, which `scripts/python-package` copies beside the tests."""
+    """The path of a file or folder of the repository: beside the tests, where `scripts/python-package` copies it, or in
+    the repository's root."""
     return next(path for path in (FOLDER / name, FOLDER.parent / name) if path.exists())
 
 

@@ -106,7 +106,7 @@ def test_a_session_is_read_and_stays_as_it_is(session_folder, tmp_path):
         begun.surrogate()
 
 
-def test_a_session_below_a_folder_whose_name_is_no_utf_8_is_read(session_folder, tmp_path):
+def test_a_session_in_a_folder_whose_name_is_no_utf_8_is_read(session_folder, tmp_path):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/session-\xff"))
     shutil.copytree(session_folder, folder)
     best = qube_hil.Session(folder).recommended

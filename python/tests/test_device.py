@@ -67,7 +67,7 @@ def test_the_classical_controller_swings_up_from_python_and_its_recording_replay
     rewards, terminated, info, observations = episode(env, classical.act)
     assert not terminated and info["ending"] == "completed" and len(rewards) == 600
     assert info["return"] > 400.0 and info["late_answers"] == 0 and info["ticks"] == 1
-    # No sample is lost here, so that every tick requests a voltage from Python.
+    # No sample is lost here, so every tick requests a voltage from Python.
     assert np.isclose(sum(rewards), info["return"])
     read = qube_hil.recording(info["recording"])
     running = read["phase"] == "running"
@@ -176,7 +176,8 @@ def test_a_closed_qube_and_a_forked_process_are_refused(virtual):
 
 
 def driving(env, ended):
-    """Starts a thread that drives episodes until an exception ends it, which it appends to `ended`."""
+    """Starts a thread that drives episodes until a call raises a QubeHilError, which the thread appends to `ended`.
+    Returns the thread once the first episode has begun."""
     begun = threading.Event()
 
     def drive():
@@ -267,7 +268,8 @@ def test_a_reset_that_is_refused_has_no_effect(virtual):
 
 @pytest.fixture
 def signalled():
-    """Drives episodes until a signal comes in the middle of an episode's step, whose handler then calls a function."""
+    """A function that drives episodes until an exception ends it. After a delay a signal comes, again and again until it
+    comes during a step; then its handler calls the function `call`, once."""
     before = signal.getsignal(signal.SIGALRM)
 
     def drive(env, delay_s, call):
@@ -359,7 +361,7 @@ def test_options_that_open_no_qube_are_named(virtual, options, told):
         virtual(**options)
 
 
-def test_messages_about_options_name_the_arguments(virtual, tmp_path):
+def test_messages_about_arguments_name_no_options_of_the_command(virtual, tmp_path):
     for options in [{"home": "nowhere"}, {"plant": tmp_path / "missing.toml"}, {"delay_ms": -1}]:
         with pytest.raises((qube_hil.SettingsError, qube_hil.DeviceError)) as refused:
             virtual(**options)
@@ -404,7 +406,8 @@ def test_an_option_of_reset_is_refused(virtual):
         env.reset(options={"angle": 1.0})
 
 
-#: Code for another interpreter, to go before its own: an episode in real time, which a busy computer may end at once.
+#: Code that `in_a_process` puts before the code of a test: `begin` begins an episode, and again, up to 50 times, where
+#: a busy computer ends an episode in real time at once.
 BEGIN = """
 import numpy as np, qube_hil
 
@@ -427,7 +430,7 @@ def begin(env):
 #: Largest number of attempts at a test that a busy computer disturbs.
 ATTEMPTS = 6
 
-#: Limit for a hang, which no busy computer reaches, s.
+#: Time after which a process counts as hung, s; on a busy computer a process needs less.
 PATIENCE_S = 600.0
 
 #: Names of the faults by which a busy computer ends an episode.
@@ -456,7 +459,8 @@ def first_line(process):
 
 def in_a_process(code, folder, send=None):
     """Runs code in another interpreter; with a signal, sends it once the code prints a line. Code that ends with the
-    error of a busy computer is run again, without the recordings of the last attempt."""
+    error of a busy computer is run again, without the recordings of the last attempt in `episodes`. Returns the exit
+    code, standard output (without the line before a signal) and standard error."""
     code = BEGIN + textwrap.dedent(code)
     for _ in range(ATTEMPTS):
         shutil.rmtree(folder / "episodes", ignore_errors=True)
@@ -545,7 +549,7 @@ def test_at_the_end_of_the_interpreter_every_qube_brakes_also_one_that_a_thread_
 
 
 @pytest.mark.real_time
-def test_a_reset_goes_on_after_ctrl_c_and_a_lost_link_does_not_count_as_a_motor_that_is_off(tmp_path):
+def test_an_episode_begins_after_ctrl_c_in_a_reset_and_a_lost_link_does_not_count_as_a_motor_that_is_off(tmp_path):
     code, out, errors = in_a_process(
         f"""
         import os, signal, subprocess, threading

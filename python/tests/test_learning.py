@@ -399,7 +399,7 @@ def test_a_classical_controller_keeps_the_state_of_one_qube_until_start_is_calle
         alpha = np.pi - from_upright
         return np.array([0.0, 1.0, np.sin(alpha), np.cos(alpha), 0.0, 0.0], np.float32)
 
-    # Between the angles at which balancing begins and ends, the voltage depends on the last observation.
+    # Between the angles at which balancing begins and ends, the voltage depends on the observation before.
     swinging = policy.act(at(0.5))
     policy.act(at(0.1))
     assert policy.act(at(0.5)) != swinging

@@ -1,4 +1,5 @@
-"""Runs each notebook from top to bottom, once in a copy of its own folder and once in the root of a clone."""
+"""Runs each notebook from top to bottom in a folder that stands for a clone: in its `python/notebooks`, and in its
+root."""
 
 import nbformat
 import pytest

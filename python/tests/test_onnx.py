@@ -64,8 +64,8 @@ def test_an_exported_policy_gives_the_same_voltages_in_onnxruntime_and_is_import
     seen = observations(policy.observation_size)
     (voltages,) = session.run(["voltage_v"], {"observation": seen})
     assert voltages.shape == (len(seen), 1)
-    # Full scale is -5 to 5 V. Both programs round to single precision at each layer, so that for one observation in
-    # about ten thousand the voltages differ by more than a millionth of full scale.
+    # Full scale is -5 to 5 V. Both programs round to single precision at each layer, so for one observation in about
+    # ten thousand the voltages differ by more than a millionth of full scale.
     differences = np.abs(voltages - policy.voltage_v(seen)) / 10.0
     assert np.quantile(differences[np.abs(voltages) < 5.0], 0.999) <= 1e-6
     assert differences.max() <= 2e-6

@@ -1,4 +1,4 @@
-"""Runs the examples of docs/python.md from top to bottom."""
+"""Runs the examples of docs/python.md from top to bottom, and checks their types."""
 
 import mypy.api
 from conftest import SHIPPED, beside

@@ -1,5 +1,5 @@
-"""Tests of the simulation in the interface of Stable-Baselines3, whose base class is replaced here by one with the same
-methods. `scripts/python-sb3` trains with the real base class."""
+"""Tests of the simulation in the interface of Stable-Baselines3. A class with the two methods that the adapter uses
+replaces the library's base class here; `scripts/python-sb3` trains with the real one."""
 
 import importlib
 import sys

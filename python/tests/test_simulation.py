@@ -309,7 +309,7 @@ def test_an_invalid_action_is_refused_and_moves_nothing(action, message):
     assert (env.states == before).all()
 
 
-#: Weights of the reward, of which none has a default.
+#: All weights of the reward; a reward in the settings must give each of them.
 REWARD = {"theta": 0.2, "alpha": 1.0, "theta_dot": 0.02, "alpha_dot": 0.005, "voltage": 0.003}
 
 
@@ -505,5 +505,7 @@ def test_an_action_may_be_a_view_of_the_last_observations():
     fast.step(rewards.reshape(3, 1))
 
 
-def test_a_simulated_box_names_the_guard_that_it_has():
-    assert QubeEnv(settings={"safety_box": {"theta_rad": 1.7, "guard": "box"}}).reset(seed=1)
+def test_a_simulated_box_may_name_the_guard_that_it_has():
+    boxes = {"theta_rad": 1.7, "guard": "box"}, {"theta_rad": 1.7}
+    named, unnamed = (QubeEnv(settings={"safety_box": box}).reset(seed=1)[0] for box in boxes)
+    assert (named == unnamed).all()

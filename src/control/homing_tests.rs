@@ -16,7 +16,7 @@ fn home(device: &mut PlantDevice, settings: &HomingSettings) -> (Ending, Option<
 
 #[test]
 fn the_middle_and_the_hanging_count_are_found_from_anywhere() {
-    // Deflected, swinging, at rest near a stop, just fallen from upright, and turning over the top.
+    // Deflected, swinging, at rest near a stop, near upright, and turning over the top.
     for (theta, alpha, alpha_dot) in
         [(-2.0, 0.3, 0.0), (0.4, -0.2, 5.0), (2.3, 0.0, 0.0), (0.5, 3.0, 2.0), (-1.0, 1.0, 25.0)]
     {
@@ -39,7 +39,7 @@ fn homing_by_hand_takes_the_place_where_the_arm_is() {
     let (ending, found) = home(&mut device, &settings);
     assert_eq!(ending, Ending::Completed);
     assert!((found.unwrap().theta_zero_counts - counts(0.5)).abs() <= 3);
-    assert!(device.furthest_rad < 0.7, "homing by hand does not look for stops");
+    assert!(device.furthest_rad < 0.7, "homing by hand looks for stops");
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn after_a_fault_the_arm_must_have_been_at_rest_for_a_second() {
 }
 
 #[test]
-fn a_qube_whose_samples_do_not_change_is_not_homed() {
+fn a_qube_that_neither_moves_nor_draws_current_is_not_homed() {
     let frozen = |tick: u64, applied_mv: i16| TickInput {
         deadline_ns: tick * 10_000_000,
         measurement: Some(Measurement {
@@ -119,7 +119,7 @@ fn a_qube_whose_samples_do_not_change_is_not_homed() {
         applied_mv = output.voltage_mv;
         output.ending
     });
-    assert_eq!(ending, Some(Ending::Fault(Fault::MotorDead)), "a motor without current is dead");
+    assert_eq!(ending, Some(Ending::Fault(Fault::MotorDead)), "a motor without current passes");
     assert_eq!(homing.calibration(), None);
 }
 
@@ -137,7 +137,7 @@ fn homing_that_finds_no_rest_ends_after_60_s() {
     let report = drive(&mut device, &clock, &mut homing, None, &AtomicBool::new(false)).unwrap();
     assert_eq!(report.outcome.ending, Ending::Fault(Fault::HomingTimedOut));
     let last = report.last_ticks.last().unwrap();
-    assert_eq!(last.tick, 6000, "ticks count from 0, and the one after 60 s ends homing");
+    assert_eq!(last.tick, 6000, "the tick after 60 s is not the last (ticks count from 0)");
     assert!(device.voltages_mv.iter().all(|voltage_mv| *voltage_mv == 0), "the arm was pushed");
     assert!(!device.armed);
 }

@@ -71,8 +71,9 @@ fn drives_on(record: &TickRecord) -> bool {
         && f64::from(record.voltage_mv) * record.state.theta_dot > 0.0
 }
 
-/// Checks that the brake controls the motor from the record at `first` on, that its first voltage
-/// works against the arm's motion, and that the arm is at rest in the end.
+/// Checks that the brake controls the motor from the record at `first` on and not before, that its
+/// first voltage works against the motion of a moving arm, and that the arm is almost at rest in
+/// the end.
 #[track_caller]
 fn is_braked_from(records: &[TickRecord], first: usize) {
     let braking = records.iter().position(|record| record.phase == Phase::Braking);
@@ -122,8 +123,8 @@ fn a_policy_that_pushes_outward_leaves_the_box_and_is_braked() {
 
 #[test]
 fn no_observer_however_wrong_moves_the_limits_of_the_box() {
-    // A Qube whose arm is a hundred times as heavy and whose voltages act 0.1 s late: the
-    // observer's state is far from the arm's.
+    // The observer's model is a Qube whose arm is a hundred times as heavy and whose voltages act
+    // 0.1 s late, so the observer's state is far from the arm's.
     let parameters = DomainParameters { rotary_mass_kg: 9.5, ..DomainParameters::NOMINAL };
     let model = QubeModel { parameters, ..QubeModel::NOMINAL };
     let lost = ObserverSettings {
@@ -237,8 +238,9 @@ fn the_last_hundred_ticks_travel_with_a_fault() {
     assert_eq!(report.last_ticks, records[records.len() - 100..]);
 }
 
-/// A controller that acts like the classical one until it has accelerated a fast arm for two ticks,
-/// then returns NaN and stores the state.
+/// A controller that acts like the classical one until it has accelerated a fast arm for two ticks.
+/// From the next such tick on it returns NaN while it would accelerate a fast arm; it stores the
+/// state of the first NaN.
 struct Failing<'a> {
     classical: ClassicalController,
     ticks: u32,
@@ -388,7 +390,7 @@ fn faults_of_link_and_machine_switch_off_without_another_act() {
 
 #[test]
 fn an_overheated_motor_hides_no_fault_of_the_arm() {
-    // The motor stays too hot while the brake works, and the count jumps by 2 rad.
+    // The motor stays too hot while the brake works, and the arm's count jumps by 2 rad.
     for jump_at in [10, 11] {
         let mut tick = Tick::new(&settings(), classical());
         let ended = (0..20_u64).find_map(|number| {
@@ -421,7 +423,7 @@ fn the_same_rollout_gives_the_same_records() {
 
 #[test]
 fn the_motors_heat_follows_the_speed_that_the_guard_sees() {
-    // The policy's filter is ten times as slow as the guard's.
+    // The policy's filter is forty times as slow as the guard's.
     let estimator = EstimatorSettings { corner_rad_s: 5.0, ..EstimatorSettings::default() };
     let speeds = |rules: TickRules| {
         let mut tick = Tick::new(&TickSettings { estimator, rules, ..settings() }, classical());

@@ -1,4 +1,5 @@
-//! Tests that the standard error of the delay equals its scatter over recordings.
+//! Tests that the standard error of the delay is its scatter over recordings, or up to 1.9 times as
+//! large.
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -32,7 +33,7 @@ fn chirp(truth: &QubeModel, seed: u64) -> MotionLog {
 }
 
 #[test]
-fn the_standard_error_of_the_delay_is_its_scatter_over_recordings() {
+fn the_standard_error_of_the_delay_is_at_least_its_scatter_and_less_than_twice_as_large() {
     let unknowns: Vec<Unknown> = vec![
         DomainParameter::MotorResistance.into(),
         Nonideality::CoulombTorque.into(),
@@ -40,8 +41,8 @@ fn the_standard_error_of_the_delay_is_its_scatter_over_recordings() {
         Nonideality::CommandDelay.into(),
     ];
     // The arrival of commands coincides with integration steps of a nominal period and lies within
-    // the jitter of the neighbouring samples, so that the number of steps between arrivals and
-    // samples differs from sample to sample and from delay to delay.
+    // the jitter of the neighbouring samples, so the number of steps between arrivals and samples
+    // differs from sample to sample and from delay to delay.
     for delay_s in [0.0033, 0.0067, 0.01] {
         let nonidealities = Nonidealities {
             coulomb_torque_n_m: 5e-4,
@@ -65,9 +66,9 @@ fn the_standard_error_of_the_delay_is_its_scatter_over_recordings() {
         }
         let (scatter_s, error_s) = (scatter_s.sqrt(), error_s.sqrt());
         println!("{delay_s} s: scatter {scatter_s:.1e} s, standard error {error_s:.1e} s");
-        // The factor for windows that contradict each other is never below 1, so that the standard
-        // error of a recording without contradictions is too large rather than too small: here by
-        // half. An error by the square root of two in either direction is outside these limits.
+        // The factor for windows that contradict each other is never below 1, so the standard error
+        // of a recording without contradictions is too large rather than too small: here by half.
+        // An error by the square root of two in either direction is outside these limits.
         let ratio = error_s / scatter_s;
         assert!((1.15..1.9).contains(&ratio), "{delay_s} s: {error_s:e} s beside {scatter_s:e} s");
     }

@@ -58,7 +58,8 @@ fn driven(
     }
 }
 
-/// A Qube that differs from nominal in every quantity that matters.
+/// A Qube that differs from nominal in five parameters and in every nonideality but the cable's
+/// drift.
 fn truth() -> QubeModel {
     let mut truth = QubeModel {
         nonidealities: Nonidealities {
@@ -89,7 +90,7 @@ fn all() -> Vec<Unknown> {
 }
 
 #[test]
-fn a_qube_that_is_known_is_found_within_its_standard_errors() {
+fn a_known_qube_is_found_within_four_standard_errors() {
     let logs = [chirp(&truth(), 1.0, 5.0), chirp(&truth(), -1.0, 5.0)];
     let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
     for estimate in &found.estimates {
@@ -166,7 +167,7 @@ fn fixed_quantities_keep_their_values() {
 
 /// A busy computer skips ticks now and then, and the device holds the last voltage.
 #[test]
-fn a_recording_with_a_few_short_interruptions_is_fitted_as_well() {
+fn a_recording_with_a_few_short_interruptions_is_fitted() {
     let is_lost = |index: usize| [133, 410, 620].iter().any(|it| (*it..it + 9).contains(&index));
     let holed = chirp_of(&truth(), 1.0, 5.0, &|index| !is_lost(index));
     assert_eq!(holed.samples.len(), 1251 - 27);
@@ -243,7 +244,7 @@ fn uninformative_and_defective_recordings_are_named() {
         }
     });
     assert!(matches!(unplugged, Unfit::FrozenPendulum { .. }), "{unplugged}");
-    // A single sample that was lost on the wire is no interruption.
+    // Single samples that were lost on the wire are no interruption.
     let mut lost = good.clone();
     lost.samples.retain(|sample| (sample.time_s * 250.0).round() as u32 % 7 != 3);
     assert_eq!(check_recording(&lost), Ok(()));
@@ -348,8 +349,8 @@ fn a_slow_motion_is_not_taken_for_an_encoder_off_its_centre() {
 
 #[test]
 fn a_fit_does_not_end_beside_the_best_model() {
-    // Under 2.2 V the arm is rarely at rest, so that friction, dead zones and cable can replace
-    // each other in the fit.
+    // In a chirp with an amplitude of 2.2 V the arm is rarely at rest, so friction, dead zones and
+    // cable can replace each other in the fit.
     let lab = Profile::lab().model();
     let log = simulated(Excitation::new(ExcitationShape::Chirp, -2.2), &lab, &PlantModel::QUBE);
     let found = identify(&[log], &all(), &QubeModel::NOMINAL).unwrap();
@@ -376,7 +377,8 @@ fn only_held_out_recordings_of_another_qube_raise_a_doubt() {
         assert_eq!(doubts.contains(&MissingEffect::HeldOut), doubted, "{ratio}: {doubts:?}");
         let verdict = if doubted { ModelVerdict::FitsBut } else { ModelVerdict::Fits };
         assert_eq!(found.assessment.verdict, verdict);
-        // The standard errors grow by the factor by which the recording contradicts the fit.
+        // No standard error grows by more than the factor by which the recording contradicts the
+        // fit, and none shrinks.
         let wider = found.inflation / identified.inflation;
         assert!(if doubted { wider > 2.0 } else { wider < 1.5 }, "{wider}");
         for (estimate, before) in found.estimates.iter().zip(&identified.estimates) {
@@ -387,7 +389,7 @@ fn only_held_out_recordings_of_another_qube_raise_a_doubt() {
     }
 }
 
-/// The factor by which a held-out recording widens the standard errors of a fit.
+/// The factor by which a held-out recording multiplies the inflation of a fit's standard errors.
 fn widening(identified: &Identified, held_out: &MotionLog) -> f64 {
     let mut found = identified.clone();
     found.hold_out(std::slice::from_ref(held_out)).unwrap();

@@ -158,8 +158,8 @@ fn the_weight_on_voltage_changes_grows_and_reported_returns_exclude_it() {
     let weighted = train_small(&settings, 5, None, u32::MAX).unwrap();
     let plain = train_small(&small_with_history(), 5, None, u32::MAX).unwrap();
     assert_ne!(weighted.network, plain.network);
-    // The weight is 0 in the first update, so that both trainings learn the same in that update and
-    // report the same return.
+    // The weight is 0 in the first update, so both trainings learn the same in that update. They
+    // report the same return, because it excludes the weight.
     assert_eq!(weighted.curve[0].mean_return, plain.curve[0].mean_return);
     let reports_best = |trained: &Trained| {
         trained.curve.iter().any(|update| update.mean_return == trained.best_return)
@@ -224,7 +224,7 @@ fn stages_of_one_distribution_are_one_training() {
 }
 
 #[test]
-fn a_training_that_diverges_keeps_the_networks_of_the_previous_update() {
+fn a_training_that_diverges_keeps_the_policy_of_the_previous_update() {
     let (distribution, settings) = (DomainDistribution::nominal(), small());
     let stop = AtomicBool::new(false);
     let mut training = state::TrainingState::new(&distribution, &settings, None, 3);

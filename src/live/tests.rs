@@ -235,7 +235,7 @@ fn a_viewer_that_writes_all_the_time_gets_the_feed_too() {
 fn a_viewer_that_stops_reading_loses_messages_and_delays_nobody() {
     let (view, _) = view();
     let viewer = begun(&view);
-    // The first client never reads again.
+    // The first client reads nothing until the view has closed.
     let every = ["/measurement", "/state", "/command", "/safety", "/tf", "/timing"];
     let mut stuck = listening(view.address(), &every);
     let mut reading = listening(view.address(), &["/timing"]);
@@ -340,7 +340,7 @@ fn two_views_at_one_address_have_different_names() {
 }
 
 #[test]
-fn a_stop_needs_the_pages_own_request() {
+fn a_stop_by_a_foreign_page_or_without_its_header_is_refused() {
     let (view, stopped) = view();
     let address = view.address();
     let post = |host: &str, more: &str| {
@@ -448,7 +448,7 @@ fn bad_clients_do_not_disturb_other_clients() {
 
     viewer.ticked(&tick(5));
     assert_eq!(good.data().0, 2);
-    assert_eq!(garbage.data().0, 2, "invalid messages are ignored");
+    assert_eq!(garbage.data().0, 2, "invalid messages are not ignored");
 }
 
 /// Returns whether the view ends the connection, and ignores the messages that come before the end.
@@ -504,7 +504,7 @@ fn a_stop_arrives_while_all_places_for_viewers_are_taken() {
     };
     let mut viewers: Vec<TcpStream> = (0..MAX_VIEWERS).map(|_| watch()).collect();
     viewers.iter_mut().for_each(|viewer| drop(until(viewer, "event: status")));
-    // Later connections are closed without an answer, so that a browser tries again.
+    // Later viewers get no answer, so that a browser tries again.
     for mut late in (0..MAX_CONNECTIONS).map(|_| watch()) {
         assert!(matches!(late.read(&mut [0]), Ok(0) | Err(_)));
     }

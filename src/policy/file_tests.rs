@@ -1,4 +1,5 @@
-//! Tests that a policy file keeps its content and that every value in it is checked.
+//! Tests that a policy comes back from its file as it was, and that damage and impossible values
+//! are refused.
 
 use std::collections::BTreeMap;
 
@@ -367,7 +368,7 @@ proptest! {
             bytes[at] = byte;
         }
         if let Ok(Policy::Network(mut policy)) = Policy::from_bytes(&bytes) {
-            // Finite weights may still be large: the output is then infinite, but nothing panics.
+            // Finite weights may still be large: the output may be infinite, but nothing panics.
             let _ = policy.network.voltage_v(&State::default());
             for layer in policy.network.layers() {
                 prop_assert!(layer.weight.iter().chain(&layer.bias).all(|value| value.is_finite()));

@@ -64,10 +64,11 @@ fn record_on(disk: SmallDisk, ticks: &[TickRecord]) -> Result<(), RecordingError
 }
 
 #[test]
-fn a_disk_that_is_full_at_any_byte_is_named_and_keeps_its_content() {
+fn a_full_disk_is_named_and_keeps_the_first_ticks_unchanged() {
     let ticks = ticks(25);
     let whole = recorded(&ticks).len();
     let expected = all_bits(&ticks);
+    let mut readable = 0;
     for room in (0..whole).step_by(53).chain([whole - 1]) {
         let disk = SmallDisk::new(room);
         let error = record_on(disk.clone(), &ticks).unwrap_err();
@@ -75,8 +76,10 @@ fn a_disk_that_is_full_at_any_byte_is_named_and_keeps_its_content() {
         if let Ok(recording) = parse(&disk.content()) {
             assert!(matches!(recording.completeness, Completeness::CutOff { .. }));
             assert_eq!(all_bits(&recording.ticks), expected[..recording.ticks.len()]);
+            readable += usize::from(!recording.ticks.is_empty());
         }
     }
+    assert!(readable > 10, "{readable} files have ticks");
     record_on(SmallDisk::new(whole), &ticks).unwrap();
 }
 
@@ -103,7 +106,7 @@ fn a_writer_that_is_dropped_leaves_all_ticks_and_no_end() {
 }
 
 #[test]
-fn the_recorder_writes_the_ticks_that_come_through_the_ring() {
+fn the_recorder_writes_the_ticks_of_the_ring_and_overwrites_no_recording() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let (mut producer, consumer) = rtrb::RingBuffer::new(64);

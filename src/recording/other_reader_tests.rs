@@ -8,7 +8,8 @@ use super::samples::{POLICY, header, outcome, recorded, tick, ticks};
 use super::tests::all_bits;
 use super::{Completeness, LAST_TICKS_ATTACHMENT, RolloutWriter, VIRTUAL_EPOCH_UNIX_NS, parse};
 
-/// Tests that other readers find all checksums, the index, the schemas and the attachment.
+/// Tests that another reader finds no wrong checksum of a block, the data or the summary, that it
+/// finds the index and one attachment, and that each message fits its schema.
 #[test]
 fn a_recording_is_an_mcap_file_for_other_readers() {
     let ticks = ticks(25);

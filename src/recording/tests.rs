@@ -142,7 +142,7 @@ fn every_changed_byte_is_found() {
 }
 
 #[test]
-fn a_recording_cut_anywhere_gives_its_whole_blocks_and_says_that_it_is_cut() {
+fn a_recording_cut_anywhere_gives_its_first_ticks_and_says_that_it_is_cut() {
     let ticks = ticks(22);
     let expected = all_bits(&ticks);
     let bytes = recorded(&ticks);
@@ -225,7 +225,7 @@ fn a_file_with_a_million_ends_of_its_data_is_read() {
 /// Tests blocks that claim more bytes than any block has, or that unpack to more bytes than they
 /// claim.
 #[test]
-fn a_block_that_unpacks_to_gigabytes_is_refused() {
+fn a_block_that_is_too_long_or_longer_than_it_claims_is_refused() {
     let packed = {
         let mut encoder = lz4::EncoderBuilder::new().build(Vec::new()).unwrap();
         encoder.write_all(&vec![0; 64 << 20]).unwrap();
@@ -262,7 +262,7 @@ fn a_header_that_would_not_come_back_is_refused() {
     header.psi.insert("mu_M_p".to_owned(), f64::NAN);
     let result = RolloutWriter::begin(Vec::new(), Path::new("memory"), header.clone(), POLICY);
     assert!(matches!(result.err(), Some(RecordingError::UnreadableRecord { .. })));
-    // A refused header leaves no file, which would be in the way of the next recording.
+    // A refused header leaves no file: a file would be in the way of the next recording.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("rollout.mcap");
     let result = RolloutWriter::create(&MachineDisk, &path, header, POLICY);

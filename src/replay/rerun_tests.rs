@@ -51,8 +51,8 @@ fn recorded_with(
     recorded_warm(MotorHeat::default(), 0.0, estimator, policy, link_breaks_at)
 }
 
-/// The rollout of [`recorded_rollout`] on a warm motor that draws `current_factor` times the
-/// nominal current.
+/// The rollout of [`recorded_rollout`] with this estimator, on a motor that begins with this heat
+/// and whose samples show `current_factor` times the nominal current (in [`recorded_rollout`] 0).
 fn recorded_warm(
     heat: MotorHeat,
     current_factor: f64,
@@ -65,7 +65,8 @@ fn recorded_warm(
     recorded_under(header, heat, current_factor, policy, link_breaks_at)
 }
 
-/// The rollout of [`recorded_warm`] with the settings of this header.
+/// The rollout of [`recorded_warm`] with this header, except for the motor's heat, 300 steps and
+/// the arm's zero.
 fn recorded_under(
     mut header: RolloutHeader,
     mut heat: MotorHeat,
@@ -212,22 +213,21 @@ fn rollouts_with_an_observer_or_a_slow_filter_replay_bit_for_bit() {
         let rerun = rerun(&recording, classical(ClassicalGains::default()));
         assert!(rerun.agrees(), "{rerun:?}");
         assert!(rerun.actions_compared > 300);
-        // The policy saw states other than under the usual filter.
+        // The policy saw other states than under the usual filter.
         let differs = |pair: (&TickRecord, &TickRecord)| pair.0.state != pair.1.state;
         assert!(recording.ticks.iter().zip(&fast.ticks).any(differs));
     }
 }
 
-/// A policy that requests the same voltage at all times.
-fn pushing(voltage_v: f32) -> Policy {
+/// A policy that requests the same voltage at all times, 20 times `scale_v`.
+fn pushing(scale_v: f32) -> Policy {
     let layer = |inputs: usize, outputs: usize, bias: f32| LayerWeights {
         weight: vec![0.0; inputs * outputs],
         bias: vec![bias; outputs],
     };
-    // The output layer is linear with a bias of 20, so the policy requests 20 times `voltage_v`;
-    // the tick limits the voltage.
+    // The output layer is linear with a bias of 20; the tick limits the voltage.
     let network =
-        Network::new(&[9, 5, 1], &[layer(9, 5, 0.0), layer(5, 1, 20.0)], voltage_v).unwrap();
+        Network::new(&[9, 5, 1], &[layer(9, 5, 0.0), layer(5, 1, 20.0)], scale_v).unwrap();
     Policy::Network(NetworkPolicy { network, training: training_record() })
 }
 
@@ -318,14 +318,17 @@ fn a_rollout_on_an_overheated_motor_comes_out_again_and_only_from_the_same_heat(
     assert_eq!(again.ending, by_heat);
     // A header without heat belongs to a recording from before the estimate existed; the replay
     // then ignores the heat.
-    let mut older = recording;
-    older.header.motor_heat = None;
-    let other = rerun(&older, trembling());
-    assert!(other.actions_different > 0, "{other:?}");
+    let cooler = MotorHeat { load: 0.5, ..warm };
+    for heat in [None, Some(cooler)] {
+        let mut other = recording.clone();
+        other.header.motor_heat = heat;
+        let differs = rerun(&other, trembling());
+        assert!(differs.actions_different > 0, "{heat:?}: {differs:?}");
+    }
 }
 
 #[test]
-fn another_policy_and_another_voltage_are_found() {
+fn another_policy_another_voltage_and_another_sample_are_found() {
     let recording = recorded_rollout(classical(ClassicalGains::default()), None);
     let gains = ClassicalGains::default();
     let other = ClassicalGains { centring_v_per_rad: gains.centring_v_per_rad * 1.001, ..gains };

@@ -1,5 +1,5 @@
 //! Compares the lanes with the equations in `f64`, with the bits of the scalar equations in `f32`,
-//! and with the estimator that runs on a real Qube ("the machine").
+//! and with the estimator of the computer that drives a real Qube ("the machine").
 
 use super::{
     DomainDistribution, Family, LaneStatus, Pendulums, SensorModel, SimulationSettings, Trajectory,
@@ -45,7 +45,7 @@ impl Bench {
 }
 
 /// A trajectory with a drawn Qube, whose start has angles and velocities up to the values of
-/// `reach` on either side; all numbers are exact in `f32`.
+/// `reach` on either side; the numbers of the start are exact in `f32`.
 fn anywhere(number: u64, reach: &State) -> Trajectory {
     let distribution = DomainDistribution::handcrafted(Family::Normal);
     let trajectory = Trajectory::draw(&distribution, 11, number);
@@ -169,7 +169,7 @@ fn a_trajectory_ends_at_the_box_at_a_state_that_is_not_a_number_and_after_600_st
     bench.pendulums.restart(5, &Trajectory::draw(&nominal, 1, 4));
     for step in 1..=MAX_STEPS {
         bench.step();
-        assert_eq!(bench.pendulums.state(4), bench.pendulums.state(5), "limited to 5 V");
+        assert_eq!(bench.pendulums.state(4), bench.pendulums.state(5), "not limited to 5 V");
         assert_eq!(bench.statuses[2], LaneStatus::LeftBox);
         if step == 1 {
             assert_eq!(bench.statuses[1], LaneStatus::Running);
@@ -187,9 +187,11 @@ fn a_trajectory_ends_at_the_box_at_a_state_that_is_not_a_number_and_after_600_st
     assert_eq!(bench.statuses[0], LaneStatus::Running);
 }
 
-/// Simulates one lane for 3 s, and gives the machine's estimator the same encoder counts. Returns
-/// the largest differences between the states that both show to a policy, rad and rad/s.
-fn beside_the_machine(estimator: EstimatorSettings, safety_box: SafetyBox) -> (f64, f64) {
+/// Simulates one lane for 3 s, and gives the machine's estimator the same encoder counts. Checks
+/// the lane's observations, and that its status follows from the machine's guarded state. Returns
+/// the largest differences between the states that both show to a policy, rad and rad/s, and the
+/// number of steps that end outside of the box.
+fn beside_the_machine(estimator: EstimatorSettings, safety_box: SafetyBox) -> (f64, f64, u32) {
     let settings = SimulationSettings {
         sensors: SensorModel::Encoders { estimator },
         safety_box,
@@ -200,7 +202,7 @@ fn beside_the_machine(estimator: EstimatorSettings, safety_box: SafetyBox) -> (f
     bench.pendulums.restart(3, &trajectory);
     bench.pendulums.observe_lane(3, &mut bench.observations);
     let mut estimator = Estimator::new(estimator, Calibration::IDENTITY);
-    let (mut angle, mut velocity) = (0.0_f64, 0.0_f64);
+    let (mut angle, mut velocity, mut outside) = (0.0_f64, 0.0_f64, 0);
     for step in 0..300_u64 {
         let state = bench.pendulums.state(3);
         let Estimates { seen: expected, guarded } = estimator.update(&Measurement {
@@ -220,25 +222,26 @@ fn beside_the_machine(estimator: EstimatorSettings, safety_box: SafetyBox) -> (f
             assert_eq!(bench.observations[feature * 16 + 3], value);
         }
         let inside = safety_box.contains(&guarded);
+        outside += u32::from(!inside);
         assert!(step == 0 || (bench.statuses[3] == LaneStatus::Running) == inside, "step {step}");
         bench.voltages_v[3] = voltage_v(step as usize / 30);
         estimator.send(f64::from(bench.voltages_v[3]));
         bench.step();
     }
-    (angle, velocity)
+    (angle, velocity, outside)
 }
 
 #[test]
 fn simulated_encoders_show_the_estimates_of_the_machines_estimator() {
     for corner_rad_s in [50.0, 200.0, 300.0] {
         let estimator = EstimatorSettings::filter(corner_rad_s);
-        let (angle, velocity) = beside_the_machine(estimator, SafetyBox::THESIS);
+        let (angle, velocity, _) = beside_the_machine(estimator, SafetyBox::THESIS);
         assert!(angle < 1e-5 && velocity < 1e-3, "{corner_rad_s}: {angle} {velocity}");
     }
     for delay_s in [0.0, 0.0037, 0.01, 0.0234, 0.1] {
         let observer = ObserverSettings::default().with_delay(delay_s);
         let estimator = EstimatorSettings::observer(observer);
-        let (angle, velocity) = beside_the_machine(estimator, SafetyBox::THESIS);
+        let (angle, velocity, _) = beside_the_machine(estimator, SafetyBox::THESIS);
         println!("{delay_s}: {angle:e} {velocity:e}");
         assert!(angle < 1e-4 && velocity < 1e-2, "{delay_s}: {angle} {velocity}");
     }
@@ -255,12 +258,13 @@ fn simulated_lanes_guard_by_the_guards_own_filter_like_a_real_tick() {
         EstimatorSettings::filter(20.0),
         EstimatorSettings::observer(observer),
     ] {
-        beside_the_machine(estimator, safety_box);
+        let (_, _, outside) = beside_the_machine(estimator, safety_box);
+        assert!((30..270).contains(&outside), "{outside} of 300 steps end outside of the box");
     }
 }
 
 #[test]
-fn a_restarted_lane_does_not_depend_on_earlier_observations() {
+fn a_restarted_lane_does_not_depend_on_its_earlier_steps() {
     let estimator = EstimatorSettings::observer(ObserverSettings::default().with_delay(0.025));
     let settings = SimulationSettings {
         sensors: SensorModel::Encoders { estimator },

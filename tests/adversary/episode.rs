@@ -19,7 +19,7 @@ pub const GENES: usize = 25;
 
 pub type Genome = [f64; GENES];
 
-/// The domain from which the adversary chooses.
+/// The limits within which the adversary chooses.
 #[derive(Clone, Copy, Debug)]
 pub struct Domain {
     /// Largest relative deviation of the parameters from nominal.
@@ -50,11 +50,11 @@ pub struct Episode {
     pub farthest_rad: f64,
     /// Time of the largest |theta|, s.
     pub farthest_at_s: f64,
-    /// Largest voltage sent, mV.
+    /// Largest magnitude of a voltage sent, mV.
     pub largest_mv: i16,
     /// Ending that the tick reported.
     pub ending: Option<Ending>,
-    /// Number of the tick that ended the episode, from 0.
+    /// Number of the tick that reported the ending, from 0.
     pub last_tick: u32,
 }
 
@@ -62,7 +62,7 @@ pub struct Episode {
 /// pulls into its stop while the amplifier is off.
 const CABLE_REACH_RAD: f64 = 0.3;
 
-/// Number of steps of the policy.
+/// Largest number of steps of the policy.
 const STEPS: u32 = 250;
 
 /// Ticks for which the arm coasts with the amplifier off.

@@ -1,4 +1,4 @@
-//! The adversary's Qube: the shared physics with the nonidealities of a real Qube.
+//! The adversary's Qube: the shared equations of motion, with friction and a cable of the arm.
 
 use qube_hil::qube::{DomainParameter, DomainParameters, Dynamics, State, counts, runge_kutta_4};
 

@@ -13,14 +13,14 @@ const POPULATION: usize = 64;
 /// Number of the best genomes of a generation, from which the next generation is drawn.
 const ELITE: usize = 10;
 
-/// The result of a search: its worst episode, and counts over all episodes.
+/// The result of a search: its worst episode with genes and seed, and figures over all episodes.
 #[derive(Clone, Copy, Debug)]
 pub struct Worst {
     pub genes: Genome,
-    /// Seed of the delays.
+    /// Seed of the delays of the worst episode.
     pub seed: u64,
     pub episode: Episode,
-    /// Largest voltage sent in any episode, mV.
+    /// Largest magnitude of a voltage sent in any episode, mV.
     pub largest_mv: i16,
     /// Number of episodes.
     pub episodes: u32,

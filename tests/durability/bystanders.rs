@@ -29,8 +29,8 @@ use crate::sweep::rollout_plan;
 use crate::watched_wire::WatchedWire;
 use crate::world::Wiring;
 
-/// A disk with one slow or fatal operation: it calls `trick` before each write or sync of the file
-/// that is created, with the number of writes so far and whether it is a sync.
+/// A disk with slow or fatal operations: it calls `trick` before each write or sync of a file that
+/// it has created, with the number of earlier writes and whether it is a sync.
 #[derive(Clone)]
 struct TrickyDisk {
     disk: SimulatedDisk,
@@ -221,7 +221,7 @@ fn an_orchestrator_that_hangs_anywhere_finds_the_amplifier_off() {
         .run(&mut |progress| {
             let Some(wire) = wiring.last_wire() else { return };
             assert_ne!(wire.state(), DeviceState::Armed);
-            // The session hangs here.
+            // A second passes, as in a session that hangs here.
             if matches!(progress, SessionEvent::Rollout { .. }) {
                 wire.must_end_safe();
             }

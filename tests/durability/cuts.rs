@@ -1,5 +1,7 @@
-//! Tests ledgers and recordings cut off at every byte, and disks that fail at every operation: the
-//! session ends with the same ledger each time.
+//! Tests ledgers and recordings that are cut off at a byte, and disks that fail at an operation:
+//! the session that is resumed ends with the ledger of an undisturbed one, and is refused only if
+//! the ledger's first line is lost. Bytes of recordings and operations of disks are sampled, at
+//! strides that `scripts/durability` makes smaller.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -35,7 +37,7 @@ fn each_of(count: u64, stride: u64, action: impl Fn(u64) + Sync) {
     });
 }
 
-/// Resumes without faults and compares the ledger with the undisturbed one. Returns the number of
+/// Resumes without faults and checks that the ledger is the undisturbed one. Returns the number of
 /// rigs that were opened. In virtual time each rollout opens one, so this is the number of rollouts
 /// that were made.
 fn resumes_to_the_same_ledger(
@@ -190,7 +192,7 @@ fn a_disk_that_fails_at_any_operation_ends_the_session_with_a_sentence_and_keeps
     let before = after_training.operations();
     resumes_to_the_same_ledger(world, &after_training, "undisturbed");
     let operations = after_training.operations() - before;
-    // The kinds alternate, so a stride without a common factor with their number reaches each.
+    // The kinds alternate, so a stride that has no common factor with their number reaches each.
     let stride = count_from("QUBE_HIL_DISK_STRIDE", 7);
     // The faults strike from the first rollout on and, with fewer samples, from the beginning.
     for (disk, operations, stride) in [
@@ -213,6 +215,9 @@ fn a_disk_that_fails_at_any_operation_ends_the_session_with_a_sentence_and_keeps
     println!("{operations} operations on the disk, {} kinds of fault", FAULTS.len());
 }
 
+/// Runs a session on a disk with this planned fault. Checks that an error, except of a crash, names
+/// the full disk or a file of the session, that no synced entry is lost, and that the session
+/// resumes to the same ledger.
 fn one_fault(
     world: &Undisturbed,
     disk: &SimulatedDisk,
@@ -249,7 +254,7 @@ fn one_fault(
 }
 
 #[test]
-fn a_session_that_is_withdrawn_leaves_nothing_on_its_disk() {
+fn a_session_that_is_withdrawn_leaves_its_folder_empty() {
     let (disk, root) = (SimulatedDisk::default(), Path::new("/withdrawn"));
     let folder = SessionFolder::create_on(Arc::new(disk.clone()), root, "seed = 1").unwrap();
     assert!(disk.exists(&folder.paths().candidates()));

@@ -22,11 +22,12 @@ pub enum Kind {
     Reorder,
     /// The second half of the operation's bytes is lost.
     Truncate,
-    /// A read returns one byte now and the rest later; a write takes half and reports that.
+    /// A read returns one byte now and the rest later; a write takes half of its bytes and fails
+    /// because the port is full.
     Short,
     /// The operating system reports an error.
     InputOutputError,
-    /// A read finds the end of the file, so that the port is gone; a write goes nowhere.
+    /// A read finds the end of the file and reports that the port is gone; a write goes nowhere.
     EndOfFile,
     /// A read gets nothing until its deadline; a write fails because the port is full.
     Hang,
@@ -75,7 +76,7 @@ impl Kind {
 pub struct Plan {
     pub operation: u64,
     pub kind: Kind,
-    /// True if all later operations fail too.
+    /// True if all later operations fail too, in the same way.
     pub lasting: bool,
 }
 
@@ -106,8 +107,8 @@ impl Held {
     }
 }
 
-/// The proxy. A read delivers a whole frame, as a USB adapter does, so that an operation is a
-/// message.
+/// The proxy. Without a fault a read delivers a whole frame, as a USB adapter does: each operation
+/// that moves bytes is then a message.
 pub struct FaultPort<T> {
     wire: T,
     clock: VirtualClock,

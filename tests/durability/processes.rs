@@ -87,7 +87,7 @@ fn a_second_program_on_a_port_is_refused_within_a_second_and_told_which_process_
     in_real_time(|| {
         let directory = tempfile::tempdir().unwrap();
         let (_qube, port) = emulate(directory.path());
-        // Six programs start while this one runs, which takes a busy computer longer than a
+        // Six programs start while this one runs. On a busy computer that takes longer than a
         // rollout.
         let first = run_until_a_rollout_is_under_way(directory.path(), &port, "9");
         let holder = format!("process {} ", first.0.id());

@@ -93,14 +93,14 @@ impl Undisturbed {
         Self { settings, disk, ledger, disk_operations, wire_operations }
     }
 
-    /// The undisturbed session of this number, made once for all tests.
+    /// The undisturbed session of this number modulo [`WORLDS`], made once for all tests.
     pub fn world(number: u64) -> &'static Self {
         static MADE: [OnceLock<Undisturbed>; WORLDS as usize] =
             [const { OnceLock::new() }; WORLDS as usize];
         MADE[(number % WORLDS) as usize].get_or_init(|| Self::new(number % WORLDS))
     }
 
-    /// A disk with this session's policies and the first line of its ledger only.
+    /// A disk with this session's settings and policies, and of its ledger the first line alone.
     pub fn trained_disk(&self) -> SimulatedDisk {
         let disk = SimulatedDisk::default();
         let configuration = self.settings.to_toml().unwrap();
@@ -117,9 +117,9 @@ impl Undisturbed {
     }
 }
 
-/// One life of the process: its result, the entries of the ledger at its end, the number of
-/// operations on each wire, and the longest time for which an amplifier stayed on after the last
-/// valid command, us.
+/// One life of the process: its result, the entries of the ledger at its end (none if the session
+/// could not be opened), the number of operations on each wire, and the longest time for which an
+/// amplifier stayed on after the last valid command, us.
 pub struct Life {
     pub result: Result<(), SessionError>,
     pub entries: Vec<Entry>,
@@ -128,7 +128,7 @@ pub struct Life {
 }
 
 /// Starts or resumes the session and runs it until it ends. Panics if the control thread has
-/// panicked, for instance in a check of its wire.
+/// panicked, for instance in a check of its wire, or if an amplifier is on at the end.
 pub fn live(
     settings: &SessionSettings,
     disk: &SimulatedDisk,
@@ -159,7 +159,8 @@ pub fn live(
     Life { result, entries, wire_operations, longest_on_us: wiring.must_end_safe() }
 }
 
-/// Returns whether the control thread is gone. Before its rig is dropped, only a panic ends it.
+/// Returns whether this error says that the control thread is gone. Before its rig is dropped, only
+/// a panic ends that thread.
 fn is_thread_gone(error: &SessionError) -> bool {
     let error = match error {
         SessionError::Rig(error) => error,
@@ -288,7 +289,8 @@ impl Schedule {
 
     /// Checks that each rollout is counted once and that its recording is complete, and that a
     /// session without faults of the wire has the ledger of an undisturbed session, byte for byte.
-    /// A session that has given up may lack rollouts.
+    /// A session that has given up may lack rollouts: only the recordings that its ledger names are
+    /// checked.
     fn check_end(&self, disk: &SimulatedDisk, recorded: &[Entry], given_up: bool) {
         let bytes = disk.bytes(&ledger_path()).unwrap_or_default();
         let entries = parse_ledger(&bytes).unwrap().entries;

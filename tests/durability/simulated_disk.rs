@@ -171,7 +171,7 @@ impl SimulatedDisk {
         Arc::clone(&self.crashed)
     }
 
-    /// The disk after a restart of the machine, without faults.
+    /// The disk after a restart of the process or the machine, without faults.
     pub fn restarted(&self, stopped: Stopped) -> Self {
         let before = self.content().clone();
         let mut after = Content { nodes: before.nodes.clone(), ..Content::default() };
@@ -238,9 +238,9 @@ impl SimulatedDisk {
         files.map(|(path, _)| path.clone()).collect()
     }
 
-    /// Counts an operation, and returns an error if a fault is planned for it. Beside the error it
-    /// returns whether a write takes half of its bytes. A crash has an error of its own, which
-    /// every later call returns.
+    /// Counts an operation, and returns an error if a planned fault makes it fail, its own or an
+    /// earlier one. Beside the error it returns whether a write takes half of its bytes. A crash
+    /// has an error of its own, which every later call returns.
     fn begin(&self, is_sync: bool) -> Result<MutexGuard<'_, Content>, (io::Error, bool)> {
         let mut content = self.content();
         if self.crashed.load(Ordering::SeqCst) {

@@ -28,7 +28,7 @@ enum RunResult {
     NotArmed(String),
     /// A valid rollout.
     Finished,
-    /// A void rollout, with the name of its fault.
+    /// A void rollout, with the text of its fault.
     Void(String),
 }
 
@@ -65,7 +65,7 @@ fn run(plan: Option<Plan>, method: HomingMethod) -> (RunResult, u64, u64) {
     (outcome, operations, wiring.must_end_safe())
 }
 
-/// A rollout of 60 steps by the classical controller, with its policy file.
+/// A rollout of 60 steps by the classical controller, with the bytes of its policy file.
 pub fn rollout_plan() -> (RolloutPlan, Vec<u8>) {
     let plan = RolloutPlan {
         safety_box: SafetyBox::THESIS,
@@ -198,7 +198,7 @@ impl Tally {
 
 #[test]
 fn a_wire_that_fails_anywhere_in_any_way_leaves_the_amplifier_off_and_the_record_right() {
-    // The stride is a prime, so that the sample covers every kind, single and lasting.
+    // The default strides are primes, so that the sample covers every kind, single and lasting.
     let stride = count_from("QUBE_HIL_FAULT_SWEEP_STRIDE", 97);
     let tally = sweep(HomingMethod::Hand, stride);
     assert!(tally.finished > 0 && tally.void > 0 && tally.not_begun > 0);

@@ -42,7 +42,7 @@ impl WatchedWire {
     }
 
     /// Checks the promises that always hold; returns the time from the last valid command until the
-    /// amplifier went off, us, if it is off.
+    /// amplifier went off, us, or `None` if it is on or never was.
     fn check(&self) -> Option<u64> {
         let now_us = self.clock.now_ns() / 1000;
         self.with(|wire| {

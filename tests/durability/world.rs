@@ -1,5 +1,4 @@
-//! A Qube in virtual time behind a wire with planned faults, and the length of the shortest rollout
-//! that passes through every phase.
+//! A Qube in virtual time behind a wire with planned faults, and the length of a short rollout.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,7 +15,7 @@ use crate::watched_wire::WatchedWire;
 /// Number of steps of the policy in a rollout.
 pub const STEPS: u32 = 60;
 
-/// Planned faults of a process's wires, one plan for each rig that it opens.
+/// Planned faults of a process's wires, one plan for each rig that the process opens.
 #[derive(Clone, Debug, Default)]
 pub struct Wiring {
     state: Arc<Mutex<State>>,
@@ -27,7 +26,7 @@ pub struct Wiring {
 #[derive(Default)]
 struct State {
     plans: Vec<Option<Plan>>,
-    /// Rig and operation at which a stop is requested, and the flag that requests it.
+    /// Number of the rig and operation at which a stop is requested, and the flag that requests it.
     stop: Option<(usize, u64, Arc<AtomicBool>)>,
     opened: Vec<WatchedWire>,
     /// An existing board for the next rig.
@@ -67,7 +66,7 @@ impl Wiring {
         self.state().operations.iter().map(|count| count.load(Ordering::Relaxed)).collect()
     }
 
-    /// Wire of the last rig, to reopen its port.
+    /// Wire of the rig that was opened last.
     pub fn last_wire(&self) -> Option<WatchedWire> {
         self.state().opened.last().cloned()
     }

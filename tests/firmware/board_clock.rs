@@ -18,7 +18,8 @@ const AHEAD: Duration = Duration::from_millis(3);
 /// Interval of polling while waiting.
 const NAP: Duration = Duration::from_micros(200);
 
-/// Time of a simulated board, us, from its frames; the computer's time interpolates between them.
+/// The clock of a simulated board: its time comes from the board's frames, and the computer's time
+/// interpolates between them.
 #[derive(Clone)]
 pub struct BoardClock {
     board_us: Arc<dyn Fn() -> u64 + Send + Sync>,
@@ -77,7 +78,7 @@ impl Connect for Connection {
     }
 }
 
-/// A rig with the Qube at this board, in the board's time.
+/// Settings of a rig with the Qube at this board, in the board's time.
 pub fn rig_settings(board: &SimulatedBoard) -> RigSettings {
     let connection = Connection { port: board.port().to_owned(), clock: board.clock() };
     let device = DeviceChoice::Other(Arc::new(connection));

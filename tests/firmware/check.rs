@@ -12,7 +12,8 @@ use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// Largest number of attempts; there are several, because the computer may answer late.
+/// Largest number of attempts; there are several, because the computer may answer late. If that
+/// happens in all of them, the test passes with a message.
 const ATTEMPTS: u32 = 10;
 
 #[test]

@@ -1,4 +1,4 @@
-//! Tests that the firmware keeps every promise of the protocol, on both chips.
+//! Tests that the firmware passes every check of conformance to the protocol, on both chips.
 
 use std::sync::Arc;
 
@@ -10,8 +10,8 @@ use crate::qube::Qube;
 use crate::simulated_board::SimulatedBoard;
 use crate::toolchain::{Chip, toolchain};
 
-/// Largest number of attempts at a check. A failed check is repeated, because the computer may not
-/// run the simulator in real time.
+/// Largest number of attempts at a check. A failed check is repeated if the computer did not run
+/// the simulator in real time meanwhile.
 const ATTEMPTS: u32 = 10;
 
 fn conforms(chip: Chip) {

@@ -1,5 +1,6 @@
-//! Tests that after every fault the motor goes off and stays off, and that the LED turns red; and
-//! that the counters go on across the edges of 24 bits.
+//! Tests that the firmware switches the motor off, and keeps it off, after a fault (a silent host,
+//! the amplifier, a stall, an absent Qube, a program that hangs) and at its start; and that the
+//! counters go on across the edges of 24 bits.
 
 use firmware_protocol::{QUBE_MODULE_ID, WATCHDOG_MS, WATCHDOG_POLL_MS};
 use qube_hil::clock::MonotonicClock;
@@ -24,7 +25,7 @@ fn last_off_us(commands: &[Command]) -> u64 {
     let last_on = commands.iter().rposition(Command::motor_is_on).expect("the motor was on");
     let off = &commands[last_on + 1..];
     assert!(off.len() > 20, "too few frames came: {off:?}");
-    assert!(off.iter().all(|it| it.motor_word == 0), "off is the motor word 0x0000: {off:?}");
+    assert!(off.iter().all(|it| it.motor_word == 0), "an off motor word is not 0x0000: {off:?}");
     assert!(off.iter().skip(1).all(|it| it.is_red() || it.leds == [0; 3]), "{:?}", &off[1..20]);
     assert!(off.iter().any(Command::is_red));
     off[0].deselected_us
@@ -212,7 +213,7 @@ fn the_chips_watchdog_switches_off_when_the_firmware_hangs() {
             off_after_us <= CHIP_WATCHDOG_US + 2 * TWO_PERIODS_US,
             "off {off_after_us} us after the program hung"
         );
-        assert!(off[0].is_red(), "the watchdog's own frame: {:?}", off[0]);
+        assert!(off[0].is_red(), "the watchdog's own frame is not red: {:?}", off[0]);
         // The chip has restarted and has received no hello, so the LED is white.
         let [red, green, blue] = off.last().unwrap().leds;
         assert!(red > 0 && red == green && green == blue, "{:?}", off.last());

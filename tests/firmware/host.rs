@@ -1,4 +1,4 @@
-//! A host that drives a simulated board at 100 Hz.
+//! A host that drives a simulated board at about 100 Hz.
 
 use std::cell::Cell;
 use std::io::Write;
@@ -52,7 +52,7 @@ impl Host {
     }
 
     /// Requests a sample. On a computer that is too slow it times out; any other fault is the
-    /// board's.
+    /// board's, and panics.
     pub fn sample_in_time(&mut self) -> Result<Measurement, Disturbed> {
         match self.sample() {
             Ok(sample) => Ok(sample),
@@ -61,7 +61,7 @@ impl Host {
         }
     }
 
-    /// Samples and acts until a sample satisfies the condition.
+    /// Samples and acts until a sample satisfies the condition; panics if none of 200 does.
     pub fn drive_until(
         &mut self,
         mut done: impl FnMut(&Measurement) -> bool,
@@ -123,9 +123,10 @@ pub fn scenario(run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
     scenario_on(Chip::Atmega328p, run);
 }
 
-/// Runs a scenario like [`scenario`], on this chip. An attempt is repeated only if a processor
-/// stalled in it or the simulation lost real time; if the computer kept up, the board has failed.
-/// An attempt that panics is repeated only if a processor stalled, and the last attempt never.
+/// Runs a scenario like [`scenario`], on this chip. An attempt that ends with [`Disturbed`] is
+/// repeated only if a processor stalled in it or the simulation lost real time; if the computer
+/// kept up, the board has failed. An attempt that panics is repeated only if a processor stalled,
+/// and the last attempt never.
 pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>) {
     let Some(toolchain) = toolchain() else { return };
     for attempt in 1..=ATTEMPTS {
@@ -161,7 +162,7 @@ pub fn scenario_on(chip: Chip, run: impl Fn(&mut Host) -> Result<(), Disturbed>)
     panic!("the computer was too slow for this test {ATTEMPTS} times");
 }
 
-/// A new link over the same wire, which has neither sent nor received anything.
+/// A new link, which has neither sent nor received anything, over the same wire.
 pub fn next_link(host: &mut Host) -> SerialLink<&mut Tty> {
     SerialLink::new(host.link.transport(), Arc::new(MonotonicClock))
 }

@@ -1,5 +1,5 @@
-//! Tests the Qube while its board loses its supply, browns out or restarts, and the values that
-//! persist.
+//! Tests the Qube while its board loses its supply, browns out or restarts, and the board's serial
+//! number, which persists.
 
 use std::sync::Arc;
 
@@ -21,8 +21,9 @@ const FIRST_FRAME_US: u64 = 1_000;
 /// Largest error of the time of an order, us: a frame, and some of the simulator's slices.
 const ORDER_US: u64 = 3_000;
 
-/// Drives the motor and restarts the board meanwhile. Returns the time for which the motor stayed
-/// on, us, and the identities before and after.
+/// Drives the motor and restarts the board meanwhile. Checks that the start switches the motor off
+/// and that a hello is needed then. Returns the time for which the motor stayed on after the order,
+/// us, and the identities before and after.
 fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), Disturbed> {
     let before = host.link.hello().unwrap();
     host.arm_and_drive()?;
@@ -31,7 +32,7 @@ fn restart(host: &mut Host, order: Order) -> Result<(u64, Identity, Identity), D
     let (on_us, off) = host.off_after_order()?;
     assert!(off.len() > 10 && off.iter().all(|it| it.motor_word == 0), "{off:?}");
     // The firmware's watchdog did not switch the motor off: it needs 50 ms and keeps the LED red.
-    assert!(off[0].is_red() && !off[5].is_red(), "the first frame of a start is red, then white");
+    assert!(off[0].is_red() && !off[5].is_red(), "not red first and white then: {:?}", &off[..6]);
     let refused = host.sample();
     if refused == Err(LinkFault::Timeout) {
         return Err(Disturbed);

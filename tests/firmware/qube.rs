@@ -64,7 +64,7 @@ pub struct Qube {
     pub module_id: u16,
     pub amplifier_fault: bool,
     pub stall_error: bool,
-    /// Offsets that presets have added to the plant's counts.
+    /// Offsets of the counters from the plant's counts, by presets and [`Self::shift_counters`].
     theta_preset: i32,
     alpha_preset: i32,
     motor_word: u16,

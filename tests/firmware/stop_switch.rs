@@ -50,7 +50,7 @@ fn stops(chip: Chip) {
         println!("{}: off {off_after_us} us after the switch opened", chip.name());
         assert!(off_after_us <= STOP_US + ORDER_US, "off after {off_after_us} us");
         let [red, green, blue] = off.last().unwrap().leds;
-        assert!(red > 0 && green == 0 && red == blue, "magenta: {:?}", off.last());
+        assert!(red > 0 && green == 0 && red == blue, "not magenta: {:?}", off.last());
 
         // While the contact is open, the board refuses to arm. After the contact has closed, the
         // stop stays latched until a hello, which a link that has seen the stop does not send.

@@ -98,7 +98,7 @@ fn make(directory: &Path, arguments: &[String]) -> Vec<u8> {
 }
 
 /// The built firmware; `None` if the tests must be skipped. The first call then prints the reason,
-/// even if the test's output is captured.
+/// even if the test's output is captured. Panics instead if the environment requires the tests.
 pub fn toolchain() -> Option<&'static Toolchain> {
     static TOOLCHAIN: OnceLock<Option<Toolchain>> = OnceLock::new();
     TOOLCHAIN

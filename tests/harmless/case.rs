@@ -78,7 +78,7 @@ impl Case {
         Self::PendulumHeld,
     ];
 
-    /// Returns whether the arm's encoder fails, permanently or for a while.
+    /// Returns whether the arm's count freezes, for good or for a while, or jumps.
     pub fn is_of_theta_encoder(self) -> bool {
         matches!(
             self,
@@ -138,8 +138,8 @@ pub enum Qubes {
     /// up to 10 % off.
     Near,
     /// Any Qube: motor, masses and lengths up to 20 % off; damping of the arm 0.3 to 4 times, of
-    /// the pendulum 0.05 to 2 times nominal; friction, cable, dead zones and delay from none to
-    /// about 2.5 times the values of `lab`.
+    /// the pendulum 0.05 to 2 times nominal; friction, cable and delay from none to 2.0 to 2.6
+    /// times the values of `lab`, dead zones up to 0.35 V.
     Far,
 }
 

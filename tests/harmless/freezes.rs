@@ -109,8 +109,8 @@ pub struct Freeze {
 }
 
 impl Freeze {
-    /// Time from the freeze until the policy lost the motor to a fault, ms; `None` if the rollout
-    /// counts as a result.
+    /// Time from the freeze until the policy lost the motor in a rollout that ended with a fault,
+    /// ms; `None` if the rollout counts as a result.
     pub fn found_ms(&self) -> Option<f64> {
         let is_fault = matches!(self.outcome.ending, Ending::Fault(_));
         is_fault.then_some(1e3 * (self.outcome.ran_s.1 - self.onset_s).max(0.0))

@@ -12,7 +12,8 @@ use super::trial::Trial;
 /// Largest accepted speed of a contact while homing or settling, rad/s.
 const FASTEST_CONTACT_RAD_S: f64 = 2.0;
 
-/// Longest accepted time until a freeze in a rollout is found, s.
+/// Longest accepted time from a failure of the arm's encoder in a rollout until the motor is off,
+/// s.
 const FOUND_WITHIN_S: f64 = 0.3;
 
 impl Trial {

@@ -38,7 +38,7 @@ pub struct Trial {
     pub homed_after_s: Option<f64>,
     /// Ending of the last motion.
     pub ending: Ending,
-    /// State of control when the fault began.
+    /// State of control when the fault began; `None` if the start ended before.
     pub struck_in: Option<ControlState>,
     /// Total duration, s.
     pub lasted_s: f64,
@@ -143,7 +143,8 @@ pub fn play(start: &Start) -> Trial {
     Trial { contact_off_rad_s, ..trial }
 }
 
-/// Executes a start; with `off`, the motor has 0 V from the first of these times until the second.
+/// Executes a start; with `off`, the motor has 0 V from the first of these times until the second,
+/// at which the start ends.
 fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     let clock = VirtualClock::default();
     let wire = SharedWire::new(start.settings, clock.clone());
@@ -206,8 +207,8 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
 }
 
 /// Fastest contact of the same start with the amplifier off, rad/s: from the beginning if the arm
-/// starts beside a stop, from the instant of the fault if the motor dies. It is 0 in all other
-/// cases, and if the start itself had no contact while homing or settling.
+/// starts beside a stop, from the instant of the fault in [`Case::MotorDeadLater`]. It is 0 in all
+/// other cases, and if the start itself had no contact while homing or settling.
 ///
 /// It is computed with the same ticks, because a falling pendulum amplifies every rounding error.
 fn contact_off_rad_s(start: &Start, trial: &Trial) -> f64 {

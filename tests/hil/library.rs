@@ -13,12 +13,13 @@
 //! | `QUBE_TEST_HIL_FAULT` | faults as described below, several with `+` between |
 //! | `QUBE_TEST_HIL_WATCHDOG` | `cuts` the voltage (default), `keeps` it, `never` expires, `none`: is absent |
 //! | `QUBE_TEST_HIL_CARD` | the card type that is plugged in (default `qube_servo2_usb`) |
-//! | `QUBE_TEST_HIL_SIGNS` | any of `theta`, `alpha`, `motor`: inverted |
+//! | `QUBE_TEST_HIL_SIGNS` | any of `theta`, `alpha`, `motor`, with commas between: inverted |
 //!
 //! A fault has the form `FUNCTION:KIND[:AT[:TIMES]]`: calls of FUNCTION from the AT-th on (the
 //! first by default) have a fault of this KIND, TIMES of them (all by default). Kinds:
 //! `error=CODE`, `hang=MS`, `stale` (the counts stay the same), `jump=COUNTS` of the arm,
-//! `jump-alpha=COUNTS`, `unplug=MS`.
+//! `jump-alpha=COUNTS`, `unplug=MS`. The last four happen once, in the AT-th call; stale counts and
+//! jumps then stay.
 
 use std::collections::BTreeMap;
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
@@ -531,7 +532,7 @@ pub extern "C" fn hil_watchdog_is_expired(_handle: *mut c_void) -> c_int {
     code(call_open("hil_watchdog_is_expired", |card| Ok(c_int::from(card.is_expired))))
 }
 
-/// Clears an expired watchdog and restores the outputs from before its expiry.
+/// Clears and stops an expired watchdog, and restores the outputs from before its expiry.
 #[unsafe(no_mangle)]
 pub extern "C" fn hil_watchdog_clear(_handle: *mut c_void) -> c_int {
     code(call_open("hil_watchdog_clear", |card| {

@@ -1,4 +1,4 @@
-//! Repeats a test in real time if it fails on a computer that did not keep up.
+//! Repeats a test that runs in real time, if it fails on a computer that did not keep up.
 
 use std::any::Any;
 use std::io::Write;
@@ -14,8 +14,8 @@ pub const TOO_LATE: &str = "keep this computer busy";
 /// Largest number of repetitions of a test.
 const AGAIN: u32 = 6;
 
-/// Lateness of a thread that shows a stalled computer: longer than a control period, and longer
-/// than the scheduler lets a ready thread wait on a computer that keeps up.
+/// Lateness of a thread from which on the computer counts as stalled: longer than a control period,
+/// and longer than the scheduler lets a ready thread wait on a computer that keeps up.
 pub const STANDS_STILL: Duration = Duration::from_millis(15);
 
 /// Interval at which a thread that measures stalls wakes.
@@ -27,9 +27,9 @@ const CALM: Duration = Duration::from_secs(2);
 /// Largest number of intervals of [`CALM`] to wait for before a repetition.
 const CALMS: u32 = 15;
 
-/// Runs a test whose emulated Qube is served in real time. If it fails and the computer stalled
-/// meanwhile, or the program reports a busy computer, the test is repeated; a failure on a computer
-/// that kept up is final.
+/// Runs a test whose emulated Qube is served in real time. If it fails and either the computer
+/// stalled meanwhile or the program reports a busy computer, the test is repeated; any other
+/// failure is final, and so is the failure of the last repetition.
 pub fn in_real_time(test: impl Fn()) {
     for again in 1..=AGAIN {
         let (ended, stood) = witnessed(&test);

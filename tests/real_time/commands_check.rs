@@ -1,4 +1,5 @@
-//! Tests the commands `check` and `doctor`, and that `run` and `session` refuse an unfit Qube.
+//! Tests the commands `check` and `doctor`, and that `run`, `session` and `experiment` refuse a
+//! port or a Qube that is not fit.
 
 use std::io::{Read, Write};
 use std::path::Path;

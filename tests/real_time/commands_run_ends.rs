@@ -1,5 +1,6 @@
-//! Tests the ends of a `run` on a port: whole processes, a real pty, an emulated Qube with a fault.
-//! Measured returns are always printed, and nothing that is in doubt moves again by itself.
+//! Tests the ends of a `run` on a port: whole processes, a real pty, an emulated Qube that is in
+//! doubt or whose cable comes out. Measured returns are always printed, and nothing that is in
+//! doubt moves again by itself.
 //!
 //! A rollout that must complete would need a computer that keeps up with real time;
 //! src/commands/run/tests.rs tests the endings of rollouts in virtual time.

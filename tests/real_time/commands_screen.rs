@@ -1,5 +1,5 @@
 //! Tests the screen in tmux, which is a real terminal: the contents, the keys, a change of size,
-//! and that every way out leaves the terminal as it was.
+//! and that a key, a signal or a suspension leaves the terminal as it was.
 //!
 //! Without tmux the tests print that they are skipped; with `QUBE_HIL_REQUIRE_TMUX` they fail.
 
@@ -144,7 +144,7 @@ fn a_run_shows_its_rollouts_reacts_to_keys_and_leaves_the_terminal_clean() {
         tmux.press("?");
         tmux.wait_for(" Help ");
         tmux.press("x");
-        // A narrow terminal has room for the rollout alone.
+        // The screen takes the size of the terminal.
         tmux.tmux(&["resize-window", "-x", "50", "-y", "20"]);
         let begun = Instant::now();
         let fits = |shown: &str| {
@@ -213,8 +213,8 @@ fn a_signal_restores_the_terminal(signal: &str, exit_code: i32) {
     tmux.must_be_restored(exit_code);
 }
 
-/// Ctrl-Z gives the shell its terminal; `fg` brings the screen back. With `--plain` the program
-/// shows no screen.
+/// Ctrl-Z gives the shell its terminal; `fg` brings the screen back. A run with `--plain` ends on
+/// the ordinary screen, too.
 fn suspension_lends_the_terminal_to_the_shell() {
     let directory = tempfile::tempdir().unwrap();
     let Some(tmux) = Tmux::start(directory.path()) else { return };
@@ -233,9 +233,11 @@ fn suspension_lends_the_terminal_to_the_shell() {
         std::thread::sleep(Duration::from_millis(50));
     }
 
-    tmux.run("run --policy classical --clock virtual --plain --out plain");
-    tmux.wait_for("exit=0");
+    tmux.run(&format!("{RUN} plain --plain"));
+    tmux.wait_for("homing");
     assert_eq!(tmux.value("#{alternate_on}"), "0");
+    tmux.press("C-c");
+    tmux.must_be_restored(130);
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! Tests the space bar at a terminal: it brakes like Ctrl-C, as does Ctrl-Z on a real Qube, and the
-//! terminal is restored on every way out. Keys that were typed ahead answer no question, and Ctrl-C
-//! ends a question. The program asks the operator about a doubt that the first homing leaves. The
-//! terminal is a real pty and the program's controlling terminal.
+//! terminal is restored after the space bar, a second Ctrl-C and SIGTERM. Keys that were typed
+//! ahead answer no question, and Ctrl-C ends a question. The program asks the operator about a
+//! doubt that the first homing leaves. The terminal is a real pty and the program's controlling
+//! terminal.
 
 use std::io::Read;
 use std::os::fd::{AsFd, OwnedFd};

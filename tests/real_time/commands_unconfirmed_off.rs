@@ -11,12 +11,12 @@ use crate::busy_computer::in_real_time;
 use crate::program::{ServedQube, program};
 use crate::shared::PATIENCE;
 
-/// Time of the board after which it ignores each disarm, s. The first rollout has begun by then and
-/// lasts longer. If homing lasts until then, the board ignores the disarm that ends homing, and the
-/// command ends in the same way.
+/// Time of the board after which it ignores each disarm, s. On a computer that keeps up the first
+/// rollout has begun by then and lasts longer. If homing lasts until then, the board ignores the
+/// disarm that ends homing, and the command ends in the same way.
 const IGNORED_AFTER_S: f64 = 6.0;
 
-/// Arguments of the commands that make rollouts, each into the folder `out`.
+/// Arguments of three commands that make rollouts, each into the folder `out`.
 const COMMANDS: [&[&str]; 3] = [
     &["run", "--policy", "classical", "--out", "out"],
     &["soak", "--hours", "1", "--keep", "out"],

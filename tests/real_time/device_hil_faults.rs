@@ -22,12 +22,12 @@ const AGAIN: u32 = 6;
 /// runs would make it late again.
 static RUNS: RwLock<()> = RwLock::new(());
 
-/// Call numbers at which faults begin, for the functions that switch the amplifier: at the start,
-/// around homing, around the rollout.
+/// Call numbers at which faults begin, for functions that are called when the amplifier is switched
+/// on or off: at the start, around homing, around the rollout.
 const RARE: &[u64] = &[1, 2, 4];
 
-/// Call numbers at which faults begin, for the functions that every arm request calls: once for
-/// homing, once for the rollout.
+/// Call numbers at which faults begin, for the functions that are called before the amplifier is
+/// switched on: once for homing, once for the rollout.
 const ARMS: &[u64] = &[1, 2];
 
 /// Call numbers at which faults begin, for the function that only a hello calls, twice.
@@ -57,7 +57,7 @@ const FUNCTIONS: [(&str, &[u64]); 13] = [
 ];
 
 /// The functions whose lasting fault leaves a rollout whole: two are called when the amplifier is
-/// off, and the last one reads a text that names the card.
+/// off, and the last one reads the card's serial number and firmware version.
 const SPARED: [&str; 3] = ["hil_watchdog_stop", "hil_close", "hil_get_string_property"];
 
 /// Faults after which the program asks whether the watchdog has expired: a read that fails within

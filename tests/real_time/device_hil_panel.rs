@@ -22,7 +22,7 @@ fn refused(panel: &Panel, ended: &Ended, words: &[&str]) {
 }
 
 #[test]
-fn without_the_library_each_command_says_what_to_install() {
+fn without_the_library_check_run_and_session_say_what_to_install() {
     let folder = tempfile::tempdir().unwrap();
     let nowhere = folder.path().join("libhil.so");
     for arguments in [
@@ -202,7 +202,7 @@ fn a_card_without_a_watchdog_is_not_switched_on() {
 
 #[test]
 #[ignore = "takes a minute by the wall clock"]
-fn a_watchdog_that_leaves_the_motor_on_is_found_before_anything_else_moves() {
+fn a_watchdog_that_leaves_the_motor_on_fails_the_check_and_writes_no_file() {
     in_real_time(|| {
         for (watchdog, words, code) in [
             ("keeps", "the motor stays on", 1),
@@ -215,6 +215,8 @@ fn a_watchdog_that_leaves_the_motor_on_is_found_before_anything_else_moves() {
             let told = format!("{}{}", ended.out, ended.told);
             let told = told.split_whitespace().collect::<Vec<_>>().join(" ");
             assert!(told.contains(words), "{watchdog}: {told}");
+            let is_driven_further = told.contains("-sign pass") || told.contains("homing pass");
+            assert!(!is_driven_further, "{watchdog}: {told}");
             assert!(!panel.path().join("qube.toml").exists(), "{watchdog}");
             panel.must_be_off();
         }

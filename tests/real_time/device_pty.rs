@@ -30,8 +30,8 @@ fn sample(link: &mut SerialLink<Tty>) -> Measurement {
     link.sample(MonotonicClock.now_ns() + PATIENCE_NS).unwrap()
 }
 
-/// Greets and arms until a sample shows the device armed: on a busy computer the watchdog may be
-/// faster than the test.
+/// Greets and arms until a sample shows the device armed and it accepts an act of 0 V: on a busy
+/// computer the watchdog may be faster than the test.
 fn arm(link: &mut SerialLink<Tty>) {
     let end_ns = MonotonicClock.now_ns() + PATIENCE_NS;
     loop {

@@ -15,7 +15,7 @@ use crate::busy_computer::in_real_time;
 use crate::program::program;
 use crate::shared::PATIENCE;
 
-/// A command with a live view, and the host of its address.
+/// A command with a live view, and the host and port of its address.
 struct Watched {
     child: Child,
     told: BufReader<std::process::ChildStderr>,
@@ -160,6 +160,7 @@ fn an_address_in_use_is_bad_usage_and_leaves_nothing() {
         assert!(told.contains(&address) && told.contains("another address"), "{told}");
         assert!(!directory.path().join("new").exists(), "{command:?}");
     }
+    // On the emulated Qube an experiment has no live view.
     let experiment = ["experiment", "--live"];
     let output = program(directory.path(), &experiment).output().unwrap();
     assert_eq!(output.status.code(), Some(2));

@@ -75,7 +75,8 @@ impl Panel {
         Ended::of(self.command(arguments).output().unwrap())
     }
 
-    /// State in which the program left the amplifier; `None` if it never opened the card.
+    /// State of the amplifier and number of calls of each function, as the test library wrote them
+    /// last; `None` if the program did not open the card and no fault began.
     pub fn amplifier(&self) -> Option<String> {
         std::fs::read_to_string(self.state.path().join("amplifier")).ok()
     }
@@ -87,7 +88,8 @@ impl Panel {
         assert!(state.starts_with("enabled false\n"), "{state}");
     }
 
-    /// Number of times that the program called this function of the vendor's library.
+    /// Number of times that the program had called this function of the vendor's library when the
+    /// test library last wrote its state.
     pub fn calls(&self, function: &str) -> u64 {
         let state = self.amplifier().unwrap_or_default();
         let line = state.lines().find_map(|line| line.strip_prefix(function)?.strip_prefix(' '));

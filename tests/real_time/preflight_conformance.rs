@@ -1,4 +1,4 @@
-//! Tests that the emulated Qube keeps every promise of the protocol over a real pty too.
+//! Tests that the emulated Qube passes every check of conformance over a real pty, too.
 
 use std::sync::Arc;
 

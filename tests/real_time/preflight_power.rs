@@ -48,12 +48,12 @@ fn qube_of(seed: u64, link: &Path, finger: Option<Finger>, restarts: bool) -> Em
 
 /// The operator's action at the request to pull the plug.
 enum AtThePlug {
-    /// Pulls the plug and answers this.
+    /// Pulls the plug and gives this answer to the question whether the motor presses.
     Pulled(&'static str),
     /// Pulls the plug of a board that another supply keeps alive, and sees its light.
     LightOn,
-    /// Pulls the plug of a board that another supply keeps alive, does not see its light, and
-    /// answers this.
+    /// Pulls the plug of a board that another supply keeps alive, does not see its light, and gives
+    /// this answer to the question whether the motor presses.
     OnAnotherSupply(&'static str),
     /// Pulls the plug, and plugs another board in afterwards. The file of the Qube names the first
     /// one.
@@ -73,7 +73,8 @@ struct Told {
     connected: Option<EmulatedQube>,
 }
 
-/// Runs the whole power test with an operator who follows each instruction.
+/// Runs the power test with an operator who acts like this at the plug and follows each other
+/// instruction.
 fn tested(directory: &Path, at_the_plug: &AtThePlug) -> Told {
     let link = directory.join("qube");
     let finger = Finger { from_us: AT_STOP_S * 1_000_000, every_us: 2_500_000, counts: 40 };
@@ -169,7 +170,7 @@ fn pulled(directory: &Path, answer: &'static str) -> (EmulatedQube, Value) {
 }
 
 #[test]
-fn the_power_test_is_done_once_a_rig_and_its_result_ends_the_warning() {
+fn the_result_of_a_power_test_is_written_down_and_decides_the_warning() {
     side_by_side(&[
         a_motor_that_keeps_its_voltage_is_written_down_and_warned_of,
         a_motor_that_goes_off_is_written_down_and_ends_the_warning,
@@ -187,8 +188,8 @@ fn a_power_test_without_a_dead_board_or_its_return_gives_no_result() {
     ]);
 }
 
-/// Runs cases that mostly wait at the same time. Each begins again by itself where the computer was
-/// too busy.
+/// Runs the cases at the same time, because they mostly wait. Each begins again by itself if the
+/// computer was too busy.
 fn side_by_side(cases: &[fn()]) {
     std::thread::scope(|scope| {
         for case in cases {
@@ -219,7 +220,7 @@ fn a_motor_that_goes_off_is_written_down_and_ends_the_warning() {
     assert_eq!(Some(power.board), file.board);
     assert_eq!(power.date.len(), "2026-01-31".len());
 
-    // Without the file, the run warns in one line; with it, the result is known.
+    // Without the file, the run warns in one line; with it, the run does not warn.
     let arguments = ["run", "--device", "qube", "--policy", "classical", "--out"];
     let warns = |out: &str, rename: bool| {
         if rename {

@@ -22,7 +22,7 @@ const CHILD: &str = "QUBE_HIL_TEST_RECORD_TO";
 const PROMISE_NS: u64 = 250_000_000;
 const TICKS: usize = 47;
 
-/// Fewest ticks before a kill: the first of them are then 290 ms old, so that they are promised.
+/// Fewest ticks before a kill: the first five of them are then at least 250 ms old, and promised.
 const FEWEST_TICKS: usize = 30;
 
 fn header() -> RolloutHeader {
@@ -134,9 +134,9 @@ fn killed_in_the_middle_all_but_the_last_quarter_second_is_readable() {
     nothing_is_missing(45, Duration::ZERO);
 }
 
-/// Many kills after different numbers of ticks, for `scripts/durability recorder-kills`. The first
-/// one shows whether a recorder writes every 0.35 s or less often, the others come at other times
-/// of such an interval.
+/// Kills after different numbers of ticks: four, or as many as `scripts/durability recorder-kills`
+/// requests. The first one shows whether a recorder writes every 0.35 s or less often; the others
+/// come at other times of such an interval.
 #[test]
 fn killed_again_and_again_all_but_the_last_quarter_second_is_readable() {
     let kills = std::env::var("QUBE_HIL_RECORDER_KILLS").unwrap_or_else(|_| "4".to_owned());

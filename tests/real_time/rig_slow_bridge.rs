@@ -1,4 +1,4 @@
-//! Tests a genuine Uno's USB bridge, which passes samples on by a timer of 4.096 ms: `check`
+//! Tests the emulated USB bridge of a genuine Uno, which passes samples on every 4.096 ms: `check`
 //! measures the delay, ticks allow for it, and hardly any sample is lost. A slower link is refused.
 
 use std::path::Path;
@@ -43,7 +43,7 @@ fn plan() -> RolloutPlan {
     }
 }
 
-/// Number of ticks without a sample if each waits at most this time for its sample, ns. The ticks
+/// Number of ticks, of `ticks`, without a sample if each waits at most this time, ns. The ticks
 /// drift through the phases of the bridge's timer, because computer and bridge have different
 /// clocks.
 fn lost_ticks(ticks: u64, sample_time_ns: u64) -> u32 {
@@ -113,7 +113,7 @@ fn a_link_without_a_bridge_keeps_the_usual_timeout_and_a_too_slow_one_is_refused
 }
 
 #[test]
-fn on_a_pty_the_check_passes_through_it_too() {
+fn on_a_pty_the_check_measures_the_bridge_too() {
     in_real_time(|| {
         let bridge = Some(UsbBridge::Atmega16u2);
         let qube = EmulatedQube::spawn(EmulatorSettings { bridge, ..EmulatorSettings::default() })

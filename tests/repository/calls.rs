@@ -1,5 +1,5 @@
 //! Tests the calls of tests in pages and scripts: the program of tests exists, and each filter
-//! selects one of its tests, an ignored one if the call runs only ignored tests.
+//! selects at least one of its tests that the call runs, ignored or not.
 
 use std::fs;
 

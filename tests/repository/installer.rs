@@ -1,5 +1,5 @@
-//! Tests that the installer can be repeated, that it installs its files, and that its rules give
-//! only known boards the name of a Qube.
+//! Tests that the installer can be repeated, that it installs its files, that it refuses impossible
+//! requests, and that its rules give only known and named boards the name of a Qube.
 
 use std::fs;
 use std::process::{Command, Output};
@@ -92,7 +92,7 @@ fn impossible_requests_are_refused() {
     }
 }
 
-/// A port, with the properties of the port and its board that udev sees.
+/// A port, with the properties of its board that udev sees.
 struct Port<'a> {
     vendor: &'a str,
     product: &'a str,
@@ -100,8 +100,7 @@ struct Port<'a> {
 }
 
 /// The names that udev rules give a port. The function implements the subset of udev's language
-/// that the rules use: a condition on an unknown property counts as not met, and an unknown
-/// assignment is an error.
+/// that the rules use: an unknown property equals no value, and an unknown assignment is an error.
 fn names(rules: &str, port: &Port) -> Vec<String> {
     let mut names = Vec::new();
     let mut wanted: Option<String> = None;

@@ -1,5 +1,6 @@
-//! Tests of the repository: its pages against the program, the walls between its rooms, its
-//! packages, its installer, and how its tests are called and start the program.
+//! Tests of the repository: its pages against the program, the walls between its rooms, the names
+//! of its types, its packages, its installer, and how its tests are called, are skipped and start
+//! the program.
 
 mod calls;
 mod documents;

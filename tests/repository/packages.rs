@@ -1,5 +1,6 @@
-//! Tests the packages: the one for Debian holds the files that the installer installs, and the
-//! crates of the workspace have one version.
+//! Tests the packages: the one for Debian holds the files that the installer installs and makes the
+//! same groups and user; tools, compiler and the crates on which the program depends have the same
+//! version wherever it is named.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -119,7 +120,7 @@ fn installer_and_package_make_the_groups_and_the_user_that_rules_and_unit_name()
     assert!(groups.len() >= 2, "{groups:?}");
     for script in ["scripts/install", "scripts/debian/postinst"] {
         let text = read(script).replace("\\\n", " ");
-        // Without `--system`, `adduser` only makes a user a member of a group.
+        // Without `--system`, these scripts only make a user a member of a group.
         let makes = |commands: [&str; 2], name: &str| {
             text.lines().find_map(|line| {
                 let words = line.split_whitespace();
@@ -188,9 +189,20 @@ fn the_oldest_compiler_is_checked_by_the_workflow_and_named_by_the_pages() {
 }
 
 #[test]
-fn the_crates_of_the_workspace_have_one_version_and_name_it() {
-    let manifest = manifest();
-    let version = &manifest["workspace"]["package"]["version"];
-    assert_eq!(&manifest["dependencies"]["firmware-protocol"]["version"], version);
+fn the_crates_of_the_workspace_and_their_dependencies_on_each_other_have_one_version() {
+    let workspace = manifest();
+    let version = &workspace["workspace"]["package"]["version"];
     assert_eq!(version.as_str(), Some(env!("CARGO_PKG_VERSION")));
+    for file in ["Cargo.toml", "firmware-protocol/Cargo.toml", "python/Cargo.toml"] {
+        let text = fs::read_to_string(root().join(file)).unwrap();
+        let manifest: toml::Table = toml::from_str(&text).unwrap();
+        let is_shared = manifest["package"]["version"].get("workspace");
+        assert_eq!(is_shared.and_then(toml::Value::as_bool), Some(true), "{file}");
+        for name in ["firmware-protocol", "qube-hil"] {
+            let dependencies = manifest.get("dependencies");
+            if let Some(dependency) = dependencies.and_then(|all| all.get(name)) {
+                assert_eq!(&dependency["version"], version, "{name} in {file}");
+            }
+        }
+    }
 }

@@ -1,5 +1,5 @@
 //! Tests that every promise in SAFETY.md names tests that exist, in the source or as a file, that
-//! `cargo test` runs at least one of them, and that every test that the page's prose names exists.
+//! `cargo test` runs at least one of them, and that every test that the page names exists.
 
 use std::collections::BTreeMap;
 use std::fs;

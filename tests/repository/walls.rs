@@ -107,7 +107,7 @@ const PURE: &[&str] =
 /// Parts of the standard library that a pure room may not use.
 const WORLD: &[&str] = &["fs", "net", "process", "env", "thread", "time"];
 
-/// Parts of the standard library that the tick may not use.
+/// Parts of the standard library that the room `control` may not use.
 const FORBIDDEN_IN_CONTROL: &[&str] = &["fs", "net", "process", "env"];
 
 /// Rooms that may not draw random numbers, not even from a seed.
@@ -354,8 +354,8 @@ fn check_emulator(module: &[String], target: &[String]) -> Option<String> {
         .then(|| format!("the emulator may not import `{}` of the host's side", target.join("::")))
 }
 
-/// The breaches in the files at the crate's root: `lib.rs` only declares the rooms, and `main.rs`
-/// only calls the commands.
+/// The breaches in the files at the crate's root: `lib.rs` declares exactly the rooms and has no
+/// `use`, and `main.rs` imports no room but `commands`.
 fn check_root(file: &Path, source: &str) -> Vec<String> {
     if file == Path::new("main.rs") {
         return imports(&[], source)

@@ -16,9 +16,9 @@ pub struct Attacker {
 struct Strike {
     /// First step at which the strike may begin.
     from: u32,
-    /// Weights of the state's features. The strike begins when the features' weighted sum is
-    /// positive.
-    state: [f64; 6],
+    /// Weights of the state's features. From the step `from` on, the strike begins when the
+    /// features' weighted sum is positive.
+    weights: [f64; 6],
     segments: Vec<Segment>,
     /// Step at which the strike began.
     since: Option<u32>,
@@ -28,19 +28,20 @@ impl Strike {
     fn new(genes: &mut Genes, steps: u32) -> Self {
         let from = genes.whole(0, steps);
         let waits = genes.normal() > -0.3;
-        let mut state = std::array::from_fn(|_| genes.normal());
+        let mut weights = std::array::from_fn(|_| genes.normal());
         if !waits {
-            state = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+            weights = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
         }
         let segments = (0..5).map(|_| {
             let (steps, voltage_v) = (genes.whole(0, 30), 10.0 * genes.normal());
             Segment { steps, voltage_v, period: None }
         });
-        Self { from, state, segments: segments.collect(), since: None }
+        Self { from, weights, segments: segments.collect(), since: None }
     }
 
     fn voltage_v(&mut self, step: u32, state: &State) -> Option<f64> {
-        if self.since.is_none() && step >= self.from && weigh(&self.state, &features(state)) > 0.0 {
+        if self.since.is_none() && step >= self.from && weigh(&self.weights, &features(state)) > 0.0
+        {
             self.since = Some(step);
         }
         Segment::of(&self.segments, step - self.since?)

@@ -39,8 +39,8 @@ impl BeliefKind {
         ForesightSettings { identified, ..ForesightSettings::default() }
     }
 
-    /// The belief from whose box the Qube is drawn: the belief about the identified Qube, wide
-    /// enough for the tolerated error of the model, or the belief about any Qube.
+    /// The belief within which the Qube is drawn: the belief about the identified Qube, wide enough
+    /// for the tolerated error of the model, or the belief about any Qube.
     fn belief(self) -> Belief {
         let ForesightSettings { belief, identified, .. } = self.settings();
         identified.map_or(belief, |identified| identified.tolerated())

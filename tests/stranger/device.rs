@@ -13,13 +13,13 @@ use serde::{Deserialize, Serialize};
 use super::mishap::{Mishap, Moment, TickMishaps};
 use super::plant::Plant;
 
-/// Time since the last arm or accepted act after which the device switches its amplifier off, ns.
+/// Time after arming or the last accepted act at which the device switches its amplifier off, ns.
 const WATCHDOG_NS: u64 = 50_000_000;
 
 /// Largest age of the sample that an act may answer, us.
 const STALE_US: u64 = 20_000;
 
-/// Shortest time between two answers of the device, ns: each takes this long on the wire.
+/// Shortest time between two samples, ns: each takes this long on the wire.
 const ANSWER_NS: u64 = 100_000;
 
 /// Time since a rollout began after which it is stopped if it still settles, ns: only attacks are
@@ -86,7 +86,7 @@ pub enum Part {
     Braking,
     Coasting,
     /// Coasting, where the cable alone pulled the arm to its stop: foresight does not promise to
-    /// hold an arm with the amplifier off.
+    /// hold an arm against its cable with the amplifier off.
     Pulled,
 }
 
@@ -146,8 +146,8 @@ impl Qube {
         }
     }
 
-    /// Lets the arm coast for this time, or until it is at rest with the amplifier off. The device
-    /// gets no requests.
+    /// Lets the arm coast for this time, or until arm and pendulum are at rest with the amplifier
+    /// off. The device gets no requests.
     pub fn coast(&mut self, duration_ns: u64) {
         let until_ns = self.plant.now_ns + duration_ns;
         while self.plant.now_ns < until_ns {

@@ -20,7 +20,7 @@ use super::scenario::{Scenario, Start};
 /// Largest error of the arm's middle after homing, rad.
 const ZERO_RAD: f64 = 0.02;
 
-/// Time for which an episode is observed after its end, ns.
+/// Longest time for which an episode is observed after its last rollout, ns.
 const AFTER_NS: u64 = 3_000_000_000;
 
 /// The result of an episode.
@@ -51,7 +51,7 @@ pub struct Trace {
     pub lines: Vec<String>,
 }
 
-/// The conditions of an episode, read from its genes.
+/// The conditions of an episode, read from its genes, or fixed by its scenario.
 struct Cast {
     qube: DrawnQube,
     zero_rad: f64,

@@ -18,7 +18,7 @@ pub enum MishapKind {
     LostAndStalled,
     /// A stop is requested.
     StopAsked,
-    /// Samples stop for good, and the device's watchdog switches off.
+    /// Samples stop for good, and the device's watchdog switches the amplifier off.
     LinkDead,
 }
 
@@ -38,7 +38,7 @@ enum Instant {
     /// The first tick after the policy's first step at which the arm's angle, extrapolated by 50 ms
     /// at its velocity, is farther than this from the middle, rad; also while the arm brakes.
     Outward(f64),
-    /// This many ticks after the brake's first tick.
+    /// This many ticks after the brake's second tick.
     Brake(u32),
 }
 
@@ -65,9 +65,9 @@ pub struct Mishap {
 /// The circumstances at the beginning of a tick, which decide whether a mishap begins.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
-    /// Steps of the policy so far; `None` before its first.
+    /// Steps of the policy so far; `None` if there are none.
     pub step: Option<u32>,
-    /// Ticks since the brake's first tick; `None` before it.
+    /// Ticks since the brake's second tick; `None` before it.
     pub brake: Option<u32>,
     /// The true state.
     pub state: State,

@@ -15,7 +15,7 @@ pub enum MovesKind {
     Net,
     /// Full voltage that changes its direction at chosen times.
     BangBang,
-    /// Feedback that pumps energy into the pendulum.
+    /// Feedback that pumps energy into the pendulum, or out of it.
     Pump,
     /// A row of pushes, some of which change their sign every 1 to 12 steps.
     Chatter,
@@ -206,8 +206,8 @@ impl Moves {
     }
 }
 
-/// Moves a layer's weights and biases in a random direction, by `along` times the mean absolute
-/// value of each.
+/// Adds normal numbers to a layer's weights and biases; their standard deviation is |`along`| times
+/// the mean absolute value of the weights, or of the biases.
 fn move_along(layer: &mut LayerWeights, along: f64, random: &mut ChaCha8Rng) {
     for numbers in [&mut layer.weight, &mut layer.bias] {
         let sum: f64 = numbers.iter().map(|number| f64::from(number.abs())).sum();

@@ -60,7 +60,7 @@ impl Plant {
         self.under_way.push_back((self.now_ns + self.delay_ns, share * voltage_v));
     }
 
-    /// The motor's current, A: its voltage less its back-EMF through its resistance.
+    /// The motor's current, A: its voltage less its back-EMF, divided by its resistance.
     pub fn current_a(&self) -> f64 {
         let motor = &self.qube.model.parameters;
         (self.motor_v - motor.motor_back_emf_v_s * self.state.theta_dot)

@@ -17,7 +17,7 @@ pub enum Start {
     Rest,
     /// Disturbed, as if pushed while settling.
     Disturbed,
-    /// In the state in which the last rollout left arm and pendulum.
+    /// In the state in which the rollout before it left arm and pendulum.
     AfterAnother,
 }
 
@@ -33,7 +33,8 @@ pub enum Seen {
     Observer,
 }
 
-/// The kind of attack whose worst case a search looks for; all of it follows from the seed.
+/// The kind of attack whose worst case a search looks for; all of it but `known` follows from the
+/// seed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scenario {
     pub seed: u64,
@@ -61,7 +62,7 @@ pub struct Scenario {
 pub const QUBE_GENES: usize = 17;
 
 impl Scenario {
-    /// The attack of a seed.
+    /// The attack of a seed on a guard with this knowledge.
     pub fn new(seed: u64, known: BeliefKind) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut one_of = |weights: &[u32]| {

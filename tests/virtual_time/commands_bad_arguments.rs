@@ -70,7 +70,7 @@ fn the_name_of_a_picture_is_no_folder_of_plots() {
 }
 
 #[test]
-fn the_help_of_a_command_has_no_options_of_another() {
+fn the_help_of_a_command_states_its_own_defaults() {
     let directory = tempfile::tempdir().unwrap();
     let help = |command: &str| {
         let help = succeeds(directory.path(), &[command, "--help"]);

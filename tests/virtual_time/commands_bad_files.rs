@@ -241,7 +241,7 @@ fn nobody_is_told_to_delete_a_file_that_is_no_checkpoint() {
 }
 
 #[test]
-fn cut_or_changed_recordings_are_refused() {
+fn a_replay_of_a_cut_or_a_changed_recording_does_not_succeed() {
     let directory = tempfile::tempdir().unwrap();
     let made = qube_hil(
         directory.path(),

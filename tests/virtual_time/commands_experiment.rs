@@ -1,5 +1,6 @@
-//! Tests the command `experiment`: interrupted, killed and resumed, on any number of threads, it
-//! gives the same table, byte for byte, and repeats nothing that was finished.
+//! Tests the command `experiment`: interrupted, killed and resumed, on one thread or several, it
+//! gives the same table and the same files, byte for byte. Impossible and changed settings are
+//! refused.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -199,7 +200,7 @@ fn an_experiment_killed_and_stopped_again_and_again_comes_to_the_same_table() {
     assert_eq!(table(whole.path()), expected);
     assert!(files(&whole.path().join("one")) == expected_files);
 
-    // A damaged recording does not count, which --table says; the rollout is recorded again.
+    // A damaged recording does not count, as --table says; the rollout is recorded again.
     std::fs::write(whole.path().join(lost), "damaged").unwrap();
     let output = experiment(whole.path(), &["--resume", "one", "--table"]).output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -210,7 +211,7 @@ fn an_experiment_killed_and_stopped_again_and_again_comes_to_the_same_table() {
     std::fs::remove_file(whole.path().join(aside)).unwrap();
     assert!(files(&whole.path().join("one")) == expected_files);
 
-    // With changed settings the program shows the finished work and makes nothing more.
+    // With changed settings only --table works: the program makes nothing more.
     let settings = whole.path().join("one/experiment.toml");
     let begun_with = std::fs::read_to_string(&settings).unwrap();
     std::fs::write(&settings, begun_with.replacen("seed = 4", "seed = 5", 1)).unwrap();
@@ -260,7 +261,7 @@ fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
     assert!(interruptions > 0, "the experiment was over before it could be interrupted");
 }
 
-/// Panics unless the folder of the experiment has exactly these files.
+/// Panics unless the folder of the experiment has exactly these files, apart from unfinished ones.
 fn same_files(directory: &Path, expected: &BTreeMap<String, Vec<u8>>) {
     let found = files(&directory.join("one"));
     assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
@@ -451,8 +452,8 @@ fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
         assert!(svg.contains(words), "{words}");
     }
 
-    // A method depends neither on other methods nor on other plants, so that an interrupted
-    // experiment with fewer of them has the same files.
+    // A method depends neither on other methods nor on other plants, so an interrupted experiment
+    // with fewer of them has the same files for each.
     let torn = tempfile::tempdir().unwrap();
     prepare(torn.path(), &[LAB]);
     run_with_interruptions(torn.path(), &arguments("robust,posterior,random"));

@@ -106,8 +106,8 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
                  verification_rollouts = 1\n[training]\nupdates = 1\nnum_envs = 16\nepochs = 1\n";
     std::fs::write(at("small.toml"), small).unwrap();
     // Each case: the command's output folder, the names of the links that are tried in it one after
-    // the other, the exit code, and the command. The program refuses a folder or a checkpoint that
-    // it has not made, and replaces other files.
+    // the other, the exit code, and the command. The program refuses a session's folder with files,
+    // an existing recording and a file that is no checkpoint, and replaces other files.
     let train = [
         "train",
         "--model",
@@ -161,7 +161,7 @@ fn a_link_in_a_prepared_folder_overwrites_nothing() {
 }
 
 #[test]
-fn a_file_without_an_end_is_refused_at_once() {
+fn a_file_without_an_end_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let pipe = directory.path().join("pipe");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());

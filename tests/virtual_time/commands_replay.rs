@@ -18,7 +18,7 @@ use serde_json::Value;
 use crate::folders::files_of;
 use crate::program;
 
-/// Runs the program, whose arguments name no file relative to its folder.
+/// Runs the program in an empty folder.
 fn qube_hil(arguments: &[&str]) -> Output {
     let directory = tempfile::tempdir().unwrap();
     program::qube_hil(directory.path(), arguments)
@@ -108,7 +108,7 @@ fn a_rollout_that_foresight_ended_says_for_which_qube() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.contains(&format!("the arm of particle {}", foreseen.particle)), "{text}");
 
-    // With a wider margin another prediction ends the recomputed rollout.
+    // With a wider margin the recomputed rollout does not end by the same prediction.
     let known = recording.header.settings.foresight.as_mut().unwrap();
     known.margin_rad = 0.2;
     let policy = Policy::from_bytes(&recording.policy).unwrap();
@@ -243,7 +243,7 @@ fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
     assert!(saved["ticks"].as_u64().unwrap() > 100, "{saved}");
     let output = qube_hil(&["replay", "--json", saved["recovered"].as_str().unwrap()]);
     assert_eq!(json(&output)["recordings"][0]["actions_compared"], saved["ticks"]);
-    // Each command that shows a recording says that a part of it is missing.
+    // The commands `report` and `export` say that a part of the recording is missing.
     let saved = saved["recovered"].as_str().unwrap();
     for file in [&cut[..], saved] {
         let exports = folder.path().join("exports");

@@ -1,6 +1,6 @@
-//! Tests that no fault of sensors or motor is reported for a healthy Qube whose arm stays away from
-//! its stops, under a policy that uses only full voltage. The guard is the box without foresight,
-//! so that the policy runs as long as possible.
+//! Tests that a healthy Qube whose arm stays away from its stops raises no fault, except for an
+//! overheated motor or a brake that times out, under a policy that uses only full voltage. The
+//! guard is the box without foresight, so that the policy runs as long as possible.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
@@ -45,14 +45,15 @@ const SLOWEST_S: f64 = 16e-3;
 /// Jitter of the delay, s.
 const JITTER_S: f64 = 1e-3;
 
-/// A policy of full voltage whose sign is random or depends on the side of a plane in state space.
+/// A policy of full voltage whose sign changes at random times or depends on the side of a plane in
+/// state space.
 #[derive(Debug)]
 struct BangBang {
     rng: ChaCha8Rng,
-    /// Normal of the plane: weights of theta, theta_dot, sin(alpha) and alpha_dot; `None` switches
-    /// at random.
+    /// Normal of the plane: weights of theta, theta_dot, sin(alpha) and alpha_dot; `None` for a
+    /// policy whose sign changes at random times.
     plane: Option<[f64; 4]>,
-    /// Longest time for which a random sign holds, ticks.
+    /// Longest time between two random changes of the sign, ticks.
     longest: u32,
     /// Remaining ticks of the present sign.
     left: u32,
@@ -89,7 +90,7 @@ impl Controller for BangBang {
 }
 
 /// A Qube whose parameters lie within 10 % of the name plate's, with up to 1.5 times the friction,
-/// dead zones and cable of `lab`, and a delay of up to `SLOWEST_S`.
+/// dead zones and cable of `lab`, and a delay of up to `SLOWEST_S`, without its jitter.
 fn qube(seed: u64) -> EmulatorSettings {
     let lab = Profile::lab().model();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -105,9 +106,10 @@ fn qube(seed: u64) -> EmulatorSettings {
     EmulatorSettings { model, seed, command_jitter_s: JITTER_S, ..EmulatorSettings::default() }
 }
 
-/// A motion that records the largest angle that the arm may have had until the next sample, rad.
+/// A rollout that records how far the arm may have been from its middle.
 struct Noted<C: Controller> {
     tick: Tick<C>,
+    /// Largest angle, extrapolated from each sample to the next one, rad.
     farthest_rad: f64,
 }
 
@@ -136,9 +138,9 @@ struct Counted {
     qubes: u64,
     ticks: u64,
     not_homed: Vec<u64>,
-    /// Faults before which the arm had hit no stop.
+    /// Faults before which the arm had hit no stop, except for those that `drive_qube` leaves out.
     faults: BTreeMap<String, Vec<u64>>,
-    /// Faults after the arm had hit a stop, which is possible without foresight.
+    /// Faults after the arm may have hit a stop, which is possible without foresight.
     after_a_hit: BTreeMap<String, Vec<u64>>,
     /// Seeds of the Qubes whose arm the brake of the box did not slow down in time.
     brakes_timed_out: Vec<u64>,
@@ -161,6 +163,8 @@ impl Counted {
     }
 }
 
+/// Homes a Qube and drives it until a fault, for at most `ROLLOUTS` rollouts. An overheated motor
+/// is not counted as a fault, and a brake that timed out is counted apart.
 fn drive_qube(seed: u64, rules: TickRules) -> Counted {
     let clock = VirtualClock::default();
     let mut device = SerialLink::in_process(qube(seed), clock.clone());
@@ -202,8 +206,9 @@ fn drive_qube(seed: u64, rules: TickRules) -> Counted {
     counted
 }
 
-/// Drives Qubes for this many ticks in all. Each thread drives one Qube after the other; the seeds
-/// of a thread, from `first_seed` on, do not depend on the other thread.
+/// Drives Qubes for at least this many ticks in all; checks that `Counted::faults` stays empty and
+/// that hardly a homing fails. Each thread drives one Qube after the other; the seeds of a thread,
+/// from `first_seed` on, do not depend on the other thread.
 fn no_fault(first_seed: u64, wanted_ticks: u64) {
     let own_ticks = wanted_ticks.div_ceil(THREADS);
     let most_qubes = SPARE_QUBES + own_ticks / LEAST_TICKS;
@@ -244,6 +249,6 @@ fn a_slow_motor_raises_doubts_under_earlier_rules_only() {
 
 #[test]
 #[ignore = "takes minutes: scripts/adversary runs it"]
-fn ten_million_ticks_of_full_voltage_raise_no_doubt() {
+fn ten_million_ticks_of_full_voltage_raise_no_fault() {
     no_fault(1000, 10_000_000);
 }

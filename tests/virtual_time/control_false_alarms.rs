@@ -107,8 +107,8 @@ fn a_thousand_rollouts_on_healthy_qubes_raise_no_fault() {
     no_fault(0..1000);
 }
 
-/// Effects that the program's equations omit are no fault of a sensor or of the motor, up to these
-/// sizes, while a Qube is homed and swings up.
+/// Effects that the program's equations omit, up to these sizes, raise no fault while a Qube of the
+/// profile `lab` is homed and runs the policy `robust`.
 #[test]
 fn effects_beyond_the_equations_raise_no_fault() {
     let robust = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");

@@ -1,5 +1,6 @@
-//! Tests starts with one fault each: no stop is touched hard while homing and settling, in 20 of
-//! the 27 cases no fault is named wrongly, and in 26 no result is false.
+//! Tests starts with at most one fault each: no stop is touched hard while homing and settling,
+//! except by a hand, in 20 of the 27 cases each start has the ending that its case demands, and in
+//! 26 no result is false.
 //! `scripts/harmless-homing` plays 10^4 starts, these tests fewer than 300.
 
 use qube_hil::telemetry::{Ending, Fault};
@@ -20,8 +21,8 @@ struct Shortfalls {
     misnamed: usize,
     /// Rollouts that count although the arm's zero is wrong.
     false_results: u32,
-    /// Starts whose arm's encoder fails in a rollout, and whose motor is on for more than 300 ms
-    /// from then on, in which the arm is damped.
+    /// Starts whose arm's encoder fails in a rollout, and whose motor goes off more than 300 ms
+    /// later; until then the arm is damped.
     damped_long: usize,
     /// Fastest contact with a stop in a rollout, rad/s, to a tenth.
     contact_rad_s: f64,

@@ -154,6 +154,6 @@ fn a_computer_that_stands_still_now_and_then_leaves_no_doubt_about_a_healthy_qub
         }
     }
     println!("{late} motions ended by a late computer");
-    assert!(late > 0, "the computer was never late");
+    assert!(late > 0, "no late computer ended a motion");
     assert!(wrong.is_empty(), "{} faults of a healthy Qube:\n{}", wrong.len(), wrong.join("\n"));
 }

@@ -1,5 +1,5 @@
-//! Tests the motor's heat in virtual time: consecutive rollouts warm the motor without a warning,
-//! and a policy that wastes current is braked at the computed time.
+//! Tests the motor's heat in virtual time: consecutive rollouts warm the motor without a warning, a
+//! policy that wastes current is braked at the computed time, and a pause cools the motor.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -87,7 +87,8 @@ const LEAST_ROLLOUTS: u64 = 12;
 
 /// Runs `rollouts` rollouts of the classical controller and of two trained policies on three Qubes,
 /// prints the motors' loads, and checks that they stay below the warning. After a fault the Qube
-/// would need a new homing, so the fault ends the rollouts of its policy.
+/// would need a new homing, so the fault ends the rollouts of this policy on this Qube; at least
+/// [`LEAST_ROLLOUTS`] of them, or all, must run.
 fn rollouts_back_to_back(rollouts: u64) {
     let classical = || Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     let mut warmest: f64 = 0.0;
@@ -135,7 +136,7 @@ fn ordinary_rollouts_back_to_back_never_warn() {
 
 #[test]
 #[ignore = "takes two minutes"]
-fn a_thousand_rollouts_of_each_kind_back_to_back_never_warn() {
+fn up_to_a_thousand_rollouts_of_each_kind_back_to_back_never_warn() {
     rollouts_back_to_back(1000);
 }
 
@@ -168,7 +169,7 @@ fn heat_carries_over_to_the_next_rollout_and_a_pause_takes_it_away() {
         }
     };
     assert_eq!(ending, Ending::LeftBox(Limit::MotorLoad));
-    assert!(rollouts > 1, "6 s alone do not overheat a motor");
+    assert!(rollouts > 1, "6 s alone overheated the motor");
 
     let mut rig = Rig::homed(QubeModel::NOMINAL, 2);
     for _ in 0..20 {

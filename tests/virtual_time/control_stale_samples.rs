@@ -154,7 +154,7 @@ fn a_host_that_hangs_between_sample_and_act_sends_no_act() {
     assert_eq!(drives(&mut device, &mut motion), Ending::Completed);
     let refused: Vec<_> = device.acts.iter().filter(|(_, sent)| sent.is_err()).collect();
     assert_eq!(refused, [&(10, Err(LinkFault::StaleSample))]);
-    assert!(motion.seen.iter().all(|it| it.status.armed), "25 ms are no reason for the watchdog");
+    assert!(motion.seen.iter().all(|it| it.status.armed), "a hang of 25 ms switched the motor off");
 }
 
 /// The checks of the sensors do not end such a motion: they ignore a sample that has the same
@@ -172,6 +172,6 @@ fn a_device_that_repeats_one_sample_is_a_fault_in_the_next_tick() {
     let policy = Policy::Classical(ClassicalController::new(ClassicalGains::default()));
     let ending = drives(&mut device, &mut Tick::new(&settings, policy));
     assert_eq!(ending, Ending::Fault(Fault::DeviceClock));
-    assert_eq!(device.ticks, 32, "the sample of tick 30 came again in tick 31");
+    assert_eq!(device.ticks, 32, "the sample came again in tick 31, which is not the last");
     assert_eq!(device.link.transport().board().applied_mv(), 0);
 }

@@ -17,8 +17,9 @@ use qube_hil::telemetry::Fault;
 
 use crate::watched_disarm::Timed;
 
-/// Runs recipes of these models. The Qube confirms no disarm from this time on, ns. Returns the
-/// recipe of each policy in the order in which they ran.
+/// Runs an experiment with a recipe for each model, on a Qube that confirms no disarm from
+/// `off_unconfirmed_from_ns` on. Returns the recipe of each policy that ran, in order, and the
+/// result of the experiment.
 fn ran(
     root: &Path,
     models: &[Model],

@@ -50,13 +50,13 @@ fn a_rival_learns_from_a_rollout_of_its_first_policy_and_has_one_at_each_budget(
     let run = folder.path().join("one/budgets/lab/simopt/000");
     let belief = std::fs::read_to_string(run.join("belief-1.json")).unwrap();
     assert!(belief.contains("gaussian"), "{belief}");
-    // The two budgets have policies of their own, and the first one made the rollout.
+    // The two budgets have policies of their own, and the policy of budget 0 made the rollout.
     assert_ne!(policy_at_budget(&run, "000"), policy_at_budget(&run, "001"));
     assert!(recorded(&run, 0) == policy_at_budget(&run, "000"), "another policy made the rollout");
 }
 
 #[test]
-fn strategy_optimisation_tries_inputs_of_one_policy_and_recommends_the_best() {
+fn strategy_optimisation_tries_two_inputs_and_recommends_one_of_them() {
     let (folder, rows) = rows_of("so-cma", "0,2");
     assert_eq!(rows, ["so-cma 0", "so-cma 2"]);
     let run = folder.path().join("one/budgets/lab/so-cma/000");

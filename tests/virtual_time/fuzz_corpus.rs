@@ -40,13 +40,13 @@ fn replay(target: &str, body: fn(&[u8]) -> bool) {
 }
 
 #[test]
-fn the_wire_accepts_its_corpus() {
+fn messages_are_read_from_their_corpus() {
     replay("wire", bodies::wire);
     let hello = Request::Hello { protocol_version: PROTOCOL_VERSION }.encode(1);
     for mode in [0, 1] {
         assert!(bodies::wire(&[&[mode], hello.as_bytes()].concat()), "mode {mode}");
     }
-    // Length, type and sequence number of a hello, and its payload.
+    // The mode, then length, type and sequence number of a hello, and its payload.
     let [low, high] = PROTOCOL_VERSION.to_le_bytes();
     assert!(bodies::wire(&[2, 2, 1, 1, 0, low, high]));
 }
@@ -107,7 +107,8 @@ fn classical() -> Vec<u8> {
     Policy::Classical(ClassicalController::new(ClassicalGains::default())).to_bytes()
 }
 
-/// Rebuilds the seeds of the corpus from files that this program writes.
+/// Rebuilds the seeds of the corpus and `fuzz/begun.mcap`: those of the wire from `golden.txt` and
+/// from frames given here, the others from files that this program writes.
 #[test]
 #[ignore = "writes into fuzz/; run it when a format has changed"]
 fn make_seeds() {

@@ -1,4 +1,4 @@
-//! Trainings whose results are given, so that a test of a session needs no hour of training.
+//! Trainings whose networks are given, so that a test of a session needs no hour of training.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -14,8 +14,8 @@ pub fn robust() -> Network {
     }
 }
 
-/// An executor that gives these networks in turn, the last one again and again, as the results of
-/// trainings.
+/// An executor that carries out each training and replaces the trained network by one of these: in
+/// turn, then by the last one again and again.
 pub struct Given {
     networks: Vec<Network>,
     jobs: AtomicUsize,

@@ -1,4 +1,5 @@
-//! Compares the simulator with recordings of a real Qube.
+//! Compares the simulator and identified models with recordings of a real Qube, and checks that the
+//! recordings raise no alarm and leave the motor cool.
 //!
 //! The recordings are not part of the repository. `$QUBE_HIL_RECORDINGS` names their folder; if the
 //! variable is not set, the folder is `../shared/data/qube-recordings`, relative to the repository.

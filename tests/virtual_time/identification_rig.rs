@@ -117,10 +117,10 @@ fn assert_lab(found: &Value) {
     assert!(told >= 6, "the recordings determine only {told} quantities");
 }
 
-/// A recording does not hold the commands that were on their way when it began, and a late Qube has
-/// two of them.
+/// A recording does not hold the commands that were on their way when it began; at a delay above
+/// 10 ms there are two of them.
 #[test]
-fn a_delayed_qube_with_strong_friction_fits_its_model() {
+fn a_delayed_qube_and_one_with_a_larger_gap_fit_their_models() {
     let directory = tempfile::tempdir().unwrap();
     let policy = format!("{}/policies/robust.safetensors", env!("CARGO_MANIFEST_DIR"));
     for plant in [["--delay-ms", "18"], ["--gap", "1.5"]] {
@@ -362,7 +362,7 @@ fn a_recording_that_says_too_little_is_left_out_and_named() {
 
 /// The friction near rest is so stiff that the integration steps for `lab` would be too long.
 #[test]
-fn a_qube_with_five_times_the_friction_of_lab_gives_its_dead_zones_and_cable_back() {
+fn a_qube_with_five_times_the_friction_of_lab_gives_dead_zones_and_cable_rest_back() {
     let directory = tempfile::tempdir().unwrap();
     let text = "name = \"stiff\"\n[parameters]\ng = 9.81\nR_m = 7.6\nk_m = 0.045\nD_r = 1e-5\n\
                 D_p = 3e-6\nM_r = 0.1\nM_p = 0.026\nL_r = 0.09\nL_p = 0.14\n[gap]\n\

@@ -1,5 +1,6 @@
 //! Tests workers that the coordinator starts by a command: they train the same policies as the
-//! coordinator alone, and a command that cannot start them is refused with one sentence.
+//! coordinator alone, and a command that cannot start them is refused with the reason. Also tests
+//! a stop of the coordinator, and equal jobs at the same time.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -87,7 +88,7 @@ fn refused(output: &Output, words: &[&str]) {
 }
 
 #[test]
-fn a_command_that_cannot_start_workers_is_refused_in_a_sentence() {
+fn a_command_that_cannot_start_workers_is_refused_with_the_reason() {
     let directory = tempfile::tempdir().unwrap();
     let directory = directory.path();
     let run = |out: &str, executor: &str| {
@@ -126,7 +127,7 @@ fn workers_that_are_always_ended_early_are_not_started_for_ever() {
     refused(&output, &["ended early", "more time"]);
 }
 
-/// A scheduler whose workers wait for ever.
+/// A scheduler whose workers wait for ever; the flag tells whether they were cancelled.
 #[derive(Debug)]
 struct FullQueue(Arc<AtomicBool>);
 

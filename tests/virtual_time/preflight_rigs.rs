@@ -41,7 +41,8 @@ fn examined(
     (found, touch_rad_s)
 }
 
-/// The number of verdicts on one rig, and the wrong ones in words.
+/// The number of verdicts on one rig, and the wrong verdicts and signs in words. Also checks that
+/// no stop is touched at 2 rad/s or faster.
 fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
     let rig = rig(seed);
     let mut wrong = Vec::new();
@@ -59,7 +60,8 @@ fn wrong_verdicts(seed: u64) -> (u32, Vec<String>) {
     compare("healthy", &found, &[]);
     assert!(touch_rad_s < 2.0, "{seed}: a stop was touched at {touch_rad_s} rad/s");
 
-    // The examination starts from random signs and must find the right ones.
+    // The examination starts from random signs and must find the right ones, or all three of them
+    // inverted, which describe the same Qube in a mirror.
     let mut random = ChaCha8Rng::seed_from_u64(seed + 1_000_000);
     let unknown = Calibration {
         theta_inverted: random.random_range(0..2) == 0,

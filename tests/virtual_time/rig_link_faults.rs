@@ -29,7 +29,7 @@ enum Trouble {
     Gone,
 }
 
-/// An emulated board on a wire with a fault between two times.
+/// A wire to an emulated board, with a fault between two times.
 struct TroubledWire {
     wire: InProcessWire,
     clock: VirtualClock,
@@ -236,7 +236,7 @@ fn after_a_restart(method: HomingMethod, directory: &Path) -> Rig {
     };
     let rig = Rig::open(&settings, &stop()).unwrap();
     rollout(&rig, &directory.join("before.mcap")).unwrap();
-    assert!(clock.now_ns() < 39_000 * MS, "the first rollout ended after the restart");
+    assert!(clock.now_ns() < 39_000 * MS, "the first rollout ended too late");
     clock.sleep_until(40_100 * MS);
     let path = directory.join("after.mcap");
     let error = rollout(&rig, &path).unwrap_err();

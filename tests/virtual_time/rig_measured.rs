@@ -229,7 +229,7 @@ fn an_arm_that_swings_on_its_cable_is_not_homed_again() {
 /// The cable of `lab` keeps pulling the arm while nothing is driven, so that the arm is homed again
 /// after a pause. Nevertheless the rig does not wait after each rollout until the arm is still.
 #[test]
-fn an_arm_that_creeps_away_in_a_pause_is_homed_once_and_not_waited_for() {
+fn an_arm_that_creeps_away_in_a_pause_is_homed_again_once_and_not_waited_for() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rollout.mcap");
     let bench = Bench::default();
@@ -257,7 +257,7 @@ fn an_arm_that_creeps_away_in_a_pause_is_homed_once_and_not_waited_for() {
         let ticks_s = recording.ticks.len() as f64 * 0.01;
         watched_s.push((bench.clock.now_ns() - begin_ns) as f64 * 1e-9 - ticks_s);
     }
-    assert_eq!(homed_again, 1, "the pause lets the arm creep away: {watched_s:?}");
+    assert_eq!(homed_again, 1, "not homed again exactly once: {watched_s:?}");
     assert!(watched_s.iter().all(|seconds| *seconds < 5.0), "{watched_s:?}");
 }
 

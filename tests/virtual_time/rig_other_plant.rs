@@ -202,7 +202,7 @@ fn a_session_searches_for_a_larger_pendulum_and_goes_on_with_it() {
     let path = directory.join("s/candidates/000/policy.safetensors");
     let Policy::Network(policy) = Policy::load(&path).unwrap() else { panic!("a network") };
     assert_eq!(policy.training.plant, plant);
-    // The search covers masses and lengths of the larger pendulum.
+    // The search is around the length of the larger pendulum.
     let psi = policy.training.psi.unwrap();
     assert!((0.14..0.19).contains(&psi["mean_L_p"]), "{psi:?}");
     let resume = ["session", "--clock", "virtual", "--resume", "s"];

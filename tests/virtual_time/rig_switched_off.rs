@@ -1,6 +1,7 @@
-//! Tests that a Qube that was switched off at any time, or whose emergency stop was opened, does
-//! not move again before somebody has acknowledged the doubt; that a doubt is stored before the
-//! motion has ended; and that the middle of a homing by hand is lost when the arm's count jumps.
+//! Tests that a Qube that was switched off in a rollout or between two, or whose emergency stop was
+//! opened, does not move again before somebody has acknowledged the doubt; that a doubt is stored
+//! before the motion has ended; that a motor that may be on after a motion is reported; and that
+//! the middle of a homing by hand is lost when the arm's count jumps.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -249,7 +250,7 @@ fn a_motor_that_is_not_confirmed_to_be_off_is_told_beside_the_fault_of_homing() 
 }
 
 #[test]
-fn a_device_that_says_that_it_stays_armed_is_named_whatever_ended_the_motion() {
+fn a_device_that_says_that_it_stays_armed_is_named() {
     let ignored = EmulatorFault::IgnoredDisarm { after_s: 20.0 };
     let bench = Bench::open(Some(ignored), HomingMethod::Hand);
     let mut rollouts = 0;

@@ -1,5 +1,5 @@
 //! Tests that no file can widen a limit or switch off the guard of a real Qube. The program exits
-//! with code 2 and one sentence, creates no folder and opens no port.
+//! with code 2 and one message, creates no folder and opens no port.
 
 use std::path::Path;
 
@@ -24,9 +24,9 @@ fn refused(directory: &Path, arguments: &[&str], words: &[&str]) {
     for word in words {
         assert!(stderr.contains(word), "{arguments:?}: {word:?} is missing in: {stderr}");
     }
-    // The message is one line.
-    let sentences = stderr.lines().filter(|line| line.starts_with("qube-hil:")).count();
-    assert_eq!(sentences, 1, "{stderr}");
+    // There is one message.
+    let messages = stderr.lines().filter(|line| line.starts_with("qube-hil:")).count();
+    assert_eq!(messages, 1, "{stderr}");
 }
 
 const NO_LIMITS: [&str; 6] = ["9", "50", "nan", "inf", "-1", "0"];
@@ -275,7 +275,7 @@ fn a_rigs_own_file_widens_nothing() {
     ] {
         let wider = [format!("{}", 1.001 * widest), "500".to_owned()];
         let no_limits = NO_LIMITS.map(str::to_owned).into_iter().filter(|value| {
-            // Some of these numbers are within the limit of a velocity.
+            // Some of these numbers are within some of the limits.
             !value.parse::<f64>().is_ok_and(|value| value > 0.0 && value <= widest)
         });
         for value in no_limits.chain(wider) {

@@ -3,7 +3,7 @@
 //!
 //! `cargo run --release --example strangers_adversary` searches at full size. The search of these
 //! tests has no mishaps on the link. Three episodes with lost samples, in which the arm reaches its
-//! stop if a part of foresight is switched off, are repeated.
+//! stop if parts of foresight are switched off, are repeated.
 
 use qube_hil::safety::Guard;
 use qube_hil::telemetry::TickRules;

@@ -46,9 +46,10 @@ fn open(root: &Path, settings: &SessionSettings, executor: Arc<dyn Executor>) ->
     Session::open(folder, settings.clone(), rig, Arc::default()).unwrap().trained_by(executor)
 }
 
-/// An executor that trains up to `threads` policies at a time, and delays each training by a time
-/// that differs from job to job and from one executor to the next.
+/// An executor that delays each training by a time that differs from job to job and from one
+/// executor to the next.
 struct Dawdling {
+    /// Number of trainings at a time that it promises; the session must not ask for more.
     threads: usize,
     seed: u64,
     jobs: AtomicU64,
@@ -187,8 +188,8 @@ fn a_stop_while_the_qube_waits_ends_the_trainings_and_the_session_goes_on_to_the
     let whole = directory.path().join("whole");
     open(&whole, &settings(2), Arc::new(Dawdling::new(2, 1))).run(&mut |_| ()).unwrap();
 
-    // Each run is stopped at its third event after the announcement of the first motion, until a
-    // run reaches the session's end.
+    // Each run is stopped at its third event, the announcement of the first motion not counted,
+    // until a run reaches the session's end.
     let root = directory.path().join("stopped");
     let mut stops = 0;
     loop {
@@ -240,9 +241,9 @@ impl Executor for Failing {
     }
 
     fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
-        let fails =
+        let granted =
             self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(1));
-        if fails.is_ok() {
+        if granted.is_ok() {
             return LocalExecutor::on_cores(1).train(jobs, stop, tell);
         }
         let mut job = jobs[0].clone();

@@ -99,7 +99,7 @@ fn a_fault_voids_the_rollout_and_a_mended_session_goes_on() {
 }
 
 #[test]
-fn a_resumed_session_tries_a_given_up_rollout_as_often_again() {
+fn a_resumed_session_tries_a_given_up_rollout_again() {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path().join("session");
     let error = run(begin(&root), Some("silent@16.5".parse().unwrap())).unwrap_err();

@@ -167,8 +167,8 @@ fn where_the_fit_is_doubted_a_policy_for_an_unknown_qube_competes() {
     assert_eq!(sure, (0, "opt-profile".to_owned()));
 }
 
-/// A computer that, in its first connections, is late by two ticks five times a second. That is too
-/// often for a fit, and too brief for the watchdog.
+/// A computer that, in its first `stalling` connections, stalls for 25 ms every 0.2 s from 20 s on.
+/// That is too often for a fit, and too brief for the watchdog.
 #[derive(Debug)]
 struct StallingComputer {
     connections: AtomicU32,
@@ -210,7 +210,7 @@ impl Connect for StallingComputer {
 }
 
 #[test]
-fn a_second_excitation_is_the_one_that_is_expected_to_tell_most() {
+fn a_second_excitation_is_weaker_and_begins_in_the_other_direction() {
     let directory = tempfile::tempdir().unwrap();
     let settings = format!("{SMALL}[identification]\nexcitations = 2\ncandidates = 1\n");
     let arguments = ["--config", "small.toml", "--profile", "lab", "--out", "s"];
@@ -224,7 +224,7 @@ fn a_second_excitation_is_the_one_that_is_expected_to_tell_most() {
         }
     };
     assert_eq!(excitation("000"), (ExcitationShape::Chirp, 1.5));
-    // Slow motions tell the dead zones, and the second begins in the other direction.
+    // Slow motions, at small voltages, tell the dead zones.
     let (_, limit_v) = excitation("001");
     assert!((-1.2..-0.5).contains(&limit_v), "{limit_v}");
 }
@@ -277,9 +277,10 @@ fn an_excitation_that_cannot_be_fitted_is_repeated() {
     assert_eq!(excited_again(2), [2, 1, 0, 1, 2]);
 }
 
-/// Runs a session around a Qube far outside the equations, whose motion contradicts its profile, up
-/// to the end of candidate 2; with `interrupted` it is stopped after the first rollout of a policy
-/// and resumed. Returns its ledger, and the recordings of candidates 1 and 2.
+/// Runs a session on a Qube with large effects that the equations omit, so that its motion
+/// contradicts its profile, up to the end of candidate 2; with `interrupted` the session is stopped
+/// after the first rollout of a policy and resumed. Returns its ledger, and the recordings of
+/// candidates 1 and 2.
 fn contradicted(directory: &Path, interrupted: bool) -> (Vec<u8>, [Recording; 2]) {
     let mut settings = SessionSettings::quick();
     settings.extent.rollouts = 1;
@@ -406,7 +407,7 @@ fn a_later_fit_that_fails_is_told_and_a_policy_for_an_unknown_qube_competes_from
         assert!(matches!(ran, Err(SessionError::Stopped)), "{ran:?}");
     }
     assert_eq!(failed.len(), 1, "{failed:?}");
-    assert_eq!(trainings[0], 1, "the first fit is not doubted");
+    assert_eq!(trainings[0], 1, "the first fit is doubted");
     // A round has a training for psi and one for an unknown Qube.
     assert!(trainings[1] >= 2, "{trainings:?}");
     let view = SessionView::read(&MachineDisk, SessionPaths::new(&root)).unwrap();

@@ -1,5 +1,6 @@
-//! Tests that a session goes on searching after a policy that balances but buzzes: its voltage
-//! changes by more, or changes its sign more often, than `Quietness::is_loud` accepts.
+//! Tests that a session goes on searching after a policy that balances but buzzes: the mean change
+//! of its voltage a tick, or the number of its sign changes a second, is above the limit of
+//! `Quietness::is_loud`.
 
 use std::sync::Arc;
 
@@ -23,7 +24,7 @@ fn buzzing() -> Network {
 }
 
 #[test]
-fn a_verified_policy_that_buzzes_is_searched_on_and_a_quiet_one_is_recommended() {
+fn the_search_goes_on_after_a_verified_policy_that_buzzes_and_a_quiet_one_is_best() {
     let directory = tempfile::tempdir().unwrap();
     let mut settings = SessionSettings::quick();
     (settings.extent.rollouts, settings.extent.verification_rollouts) = (1, 2);

@@ -1,5 +1,6 @@
-//! Tests that a session that is killed, stopped and resumed loses and repeats nothing, and writes
-//! the ledger of an undisturbed run, byte for byte.
+//! Tests that a session that is killed again and again makes the decisions of an undisturbed one,
+//! that a stopped session can be resumed, and that a session is resumed only as it began and with
+//! its files as they were.
 
 use std::path::Path;
 use std::process::{Child, Stdio};
@@ -95,14 +96,14 @@ fn signal(child: &Child, signal: Signal) {
 }
 
 #[test]
-fn a_session_killed_again_and_again_writes_the_ledger_of_an_undisturbed_one() {
+fn a_session_killed_again_and_again_makes_the_decisions_of_an_undisturbed_one() {
     for settings in [small, ahead, identified] {
         let resumed = UPDATES.into_iter().any(|updates| is_killed_and_resumed(&settings(updates)));
         assert!(resumed, "every session ended before a kill");
     }
 }
 
-/// Kills a session again and again and compares its ledger with the ledger of an undisturbed
+/// Kills a session again and again and compares its [`decisions`] with those of an undisturbed
 /// session; returns whether there was time for a kill.
 fn is_killed_and_resumed(settings: &str) -> bool {
     let directory = tempfile::tempdir().unwrap();
@@ -427,7 +428,7 @@ fn a_session_begun_unidentified_is_resumed_unidentified() {
     let recording = directory.path().join("mine/candidates/006/rollout-0-attempt-0.mcap");
     let belief = || qube_hil::recording::read(&recording).unwrap().header.settings.foresight;
     let before = belief();
-    // The session is cut before its last candidate ran.
+    // The ledger is cut before the rollouts of the last candidate.
     let path = directory.path().join("mine/ledger.jsonl");
     let entries = std::fs::read_to_string(&path).unwrap();
     let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 2).collect();

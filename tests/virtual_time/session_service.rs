@@ -1,5 +1,6 @@
-//! Tests a session under systemd: it reports its start, its progress and its end, and a session
-//! that crashes repeatedly is not restarted for ever.
+//! Tests a session under systemd: it reports its start, its progress and its end; by the settings
+//! of the unit file, a session that crashes repeatedly is not restarted for ever, and one that ends
+//! with an exit code of its own or by a stop is not restarted.
 
 use std::os::unix::net::UnixDatagram;
 use std::process::Stdio;

@@ -1,4 +1,5 @@
-//! Tests of the end of a run, in virtual time, so that the load of the computer does not matter.
+//! Tests of the end of a run, in virtual time, so that the load of the computer does not matter,
+//! and of the notes about a policy.
 
 use std::path::Path;
 
@@ -15,7 +16,7 @@ use crate::recording::read;
 use crate::rig::{Doubt, DoubtStore, Recovery};
 use crate::telemetry::{Fault, Preflight};
 
-/// Returns an emulated Qube that is homed by hand and has this fault, if any.
+/// Returns the settings of an emulated Qube that is homed by hand and has this fault, if any.
 fn settings(fault: Option<&str>) -> RigSettings {
     let fault = fault.map(|fault| fault.parse::<EmulatorFault>().unwrap());
     RigSettings {
@@ -24,7 +25,7 @@ fn settings(fault: Option<&str>) -> RigSettings {
     }
 }
 
-/// Runs rollouts of the classical controller and returns their results.
+/// Runs rollouts of the classical controller; returns how the run ended, and its results.
 fn run(
     settings: RigSettings,
     directory: &Path,
@@ -81,7 +82,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
         let recovery = Recovery { doubts: doubts.clone(), acknowledged, ..Recovery::default() };
         RigSettings { recovery, skip_check: true, ..settings(fault) }
     };
-    // The stall comes after the end of the first rollout and before the end of the fourth.
+    // The stall comes after the end of the first rollout and before the end of the fifth.
     let (ended, results) = run(remembering(Some("stall@27"), false), &directory.join("one"), 6);
     let ended_by = ended.unwrap_err().ended_by();
     // The results so far are printed, with the reason why there are no more.
@@ -96,7 +97,7 @@ fn a_stall_ends_a_run_and_nothing_moves_before_somebody_has_acknowledged_it() {
     assert!(cause.contains("reports a stall") && cause.contains("--acknowledge"), "{cause}");
     assert!(!cause.contains("amplifier"), "{cause}");
     let kept = recordings(&directory.join("one"));
-    assert_eq!(kept, returns.len(), "a rollout that never began leaves no file");
+    assert_eq!(kept, returns.len(), "a rollout that never began has left a file");
 
     // A new start without acknowledgement is refused before anything moves.
     let (ended, _) = run(remembering(None, false), &directory.join("two"), 1);

@@ -169,10 +169,10 @@ fn keys_stop_pause_ask_and_help() {
         assert!(!pressed(&mut state, b'p'));
         assert_eq!((&state.overlay, state.pause), (&Overlay::None, Pause::No));
     }
-    assert!(!pressed(&mut state, b'y'), "y has no effect without the question");
+    assert!(!pressed(&mut state, b'y'), "y stops without the question");
     assert!(!pressed(&mut state, b'q') && pressed(&mut state, b'y'));
     state.overlay = Overlay::Help;
-    assert!(pressed(&mut state, b' '), "the space bar stops under every overlay");
+    assert!(pressed(&mut state, b' '), "the space bar does not stop under the help");
     let mut training = ScreenState { can_pause: false, ..in_training() };
     assert!(!pressed(&mut training, b'p'));
     assert_eq!(training.pause, Pause::No);
@@ -196,7 +196,8 @@ fn a_rollout_is_followed_tick_by_tick() {
             ..TickRecord::default()
         }
     };
-    // The ticks of settling do not count: the policy does not control them.
+    // The ticks of settling count neither as steps nor for the limits: the policy does not control
+    // them.
     view.ticked(&tick(0, Phase::Settling, 0.9));
     assert_eq!(view.state().nearest_limit(), None);
     view.ticked(&tick(1, Phase::Running, 0.5));
@@ -225,11 +226,12 @@ fn progress_without_a_screen_waits_for_nothing() {
     assert!(!Progress::lines().pressed(b' '));
 }
 
-/// Variable with the path of the file whose appearance ends the screen of the test below.
+/// Environment variable with the path of the file whose appearance ends the screen of
+/// `panics_under_a_screen`.
 const LOOKED: &str = "QUBE_HIL_TEST_SCREEN_LOOKED";
 
-/// Opens a screen in the terminal that the test below gives it, and panics once the test has looked
-/// at it.
+/// Opens a screen in the terminal that `a_panic_leaves_the_terminal_clean` gives it, and panics
+/// once that test has looked at the screen.
 #[test]
 #[ignore = "run by a_panic_leaves_the_terminal_clean, in a terminal"]
 fn panics_under_a_screen() {

@@ -284,6 +284,8 @@ fn a_device_that_restarted_refuses_samples_until_it_is_greeted() {
     let (mut link, clock) = armed(Some(EmulatorFault::BrownOut { after_s: 0.1 }));
     clock.advance(300 * MS);
     assert_eq!(link.sample(clock.now_ns() + 6 * MS), Err(LinkFault::Restarted));
+    link.hello().unwrap();
+    sample(&mut link, &clock);
 }
 
 #[test]
@@ -321,7 +323,7 @@ fn an_emergency_stop_is_told_and_latched_until_a_new_link_finds_it_closed() {
     link.hello().unwrap();
     assert!(sample(&mut link, &clock).status.emergency_stop);
     clock.sleep_until(2200 * MS);
-    assert!(sample(&mut link, &clock).status.emergency_stop, "closing alone does not clear it");
+    assert!(sample(&mut link, &clock).status.emergency_stop, "closing alone has cleared it");
     link.hello().unwrap();
     renew(&mut link);
     link.hello().unwrap();
@@ -388,7 +390,7 @@ fn a_qube_that_was_switched_off_and_on_needs_a_new_hello() {
         if looks_in_between {
             assert_eq!(sample_at(600), Err(LinkFault::QubeOff));
         }
-        assert_eq!(sample_at(1600), Err(LinkFault::Restarted), "its counters have begun anew");
+        assert_eq!(sample_at(1600), Err(LinkFault::Restarted), "its counters go on");
         for _ in 0..2 {
             let refused = link.hello().unwrap_err();
             assert!(matches!(refused, DeviceError::SwitchedOff { .. }), "{refused}");
@@ -396,7 +398,7 @@ fn a_qube_that_was_switched_off_and_on_needs_a_new_hello() {
         // The next program greets it.
         link.boot_id = None;
         let again = link.hello().unwrap();
-        assert_eq!(again.boot_id, identity.boot_id, "the board itself ran on");
+        assert_eq!(again.boot_id, identity.boot_id, "the board itself has restarted");
         let sample = sample(&mut link, &clock);
         assert_eq!((sample.theta_counts, sample.alpha_counts), (0, 0));
     }

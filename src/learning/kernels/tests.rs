@@ -132,7 +132,7 @@ mod textbook {
 }
 
 /// Compares the gradients of every path with central differences in `f64`: for each 37th of the
-/// second layer's weights, and for every other parameter.
+/// second layer's weights, and for all parameters outside of these weights.
 fn check_by_finite_differences(
     size: usize,
     gradients: &[(Level, Network)],
@@ -190,7 +190,7 @@ fn gradients_of_the_value_network_equal_finite_differences_on_every_path() {
     }
 }
 
-/// A network after some steps of Adam along real gradients.
+/// A network after 20 steps of Adam along real gradients, and the norm of each step's gradient.
 fn trained_at(level: Level, size: usize) -> (Network, Vec<f32>) {
     let (mut network, minibatch) = example(size);
     let (mut gradient, mut moments) = (Network::zero(size), Moments::zero(size));

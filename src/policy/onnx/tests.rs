@@ -1,5 +1,5 @@
-//! Tests the import with models whose outputs onnxruntime computed (`tests/fixtures/onnx/make.py`),
-//! and the import of the models that this program exports.
+//! Tests the import of models whose outputs onnxruntime computed (`tests/fixtures/onnx/make.py`),
+//! of models that these tests assemble, and of models that this program exports.
 
 use serde_json::Value;
 
@@ -101,7 +101,7 @@ fn integers_of(name: &str, values: &[i64]) -> Message {
     tensor(name, TYPES[1], &[values.len() as u64], &raw)
 }
 
-/// A model from `x` to `y`, with a declared number of entries of `x`.
+/// A model from `x` to `y`; `entries` is the number of entries of `x` that the model declares.
 fn model(nodes: &[Message], constants: &[Message], entries: Option<u64>) -> Message {
     let rows = Message::default().text(2, "n");
     let columns = entries.map_or_else(Message::default, |it| Message::default().integer(1, it));

@@ -148,7 +148,8 @@ const DISTORTIONS: &[(&str, Distortion)] = &[
     ("act", |_, reply| distort_sample(reply, |sample| sample.sample_to_act_us = 0xFFFF)),
     ("act", |_, reply| distort_sample(reply, |sample| sample.last_act_sequence ^= 1)),
     ("first-act-time", |_, reply| {
-        // The device reports the time of the last act, which is later by the wait between the two.
+        // The device reports the time of the last act, which is later by the wait between the first
+        // act and the last.
         distort_sample(reply, |sample| {
             if sample.sample_to_act_us != NO_ACT_US {
                 sample.sample_to_act_us += 5000;

@@ -1,4 +1,5 @@
-//! Compares foresight with a simulation of each particle alone, in `f64` and in fine steps.
+//! Tests foresight, above all against a simulation of each particle alone, in `f64` and in fine
+//! steps.
 
 use std::f64::consts::PI;
 
@@ -41,7 +42,8 @@ impl Draw {
         low + (high - low) * self.0.random::<f64>()
     }
 
-    /// A Qube whose parameters differ by up to 30 % from the nominal ones.
+    /// A particle whose parameters, except gravity, differ by up to 30 % from the nominal ones,
+    /// with random nonidealities, shares of the voltage, and errors of its state.
     fn particle(&mut self) -> Particle {
         let mut model = QubeModel::NOMINAL;
         for parameter in DomainParameter::ALL {
@@ -101,7 +103,7 @@ fn clearance_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
         theta_dot: seen.theta_dot + error.theta_dot,
         alpha_dot: seen.alpha_dot + error.alpha_dot,
     };
-    // Oldest first; the last command belongs to the current period.
+    // Oldest first; in the loop below the last command belongs to the current period.
     let mut commands_v: Vec<f64> = case.sent_v.iter().rev().map(|&v| arriving(v.into())).collect();
     let gains = FilterGains::new(GUARD_CORNER_RAD_S, CONTROL_PERIOD_S);
     // The filter's lag makes the estimated velocities older than the angles.
@@ -112,7 +114,7 @@ fn clearance_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
     state.theta_dot += lag_s * then.theta;
     state.alpha_dot += lag_s * then.alpha;
     let (high, low) = (f64::from(ENDS.high_rad), f64::from(ENDS.low_rad));
-    let mut room = (high - state.theta).min(state.theta - low);
+    let mut clearance_rad = (high - state.theta).min(state.theta - low);
     for period in 0..periods {
         let requested_v = if period == 0 { case.voltage_v.into() } else { brake.voltage_v(&seen) };
         commands_v.push(arriving(requested_v));
@@ -128,12 +130,12 @@ fn clearance_rad(particle: &Particle, case: &Case, periods: u32) -> f64 {
             let at = |index: f64| commands_v[(index as usize).min(commands_v.len() - 1)];
             let voltage_v = share * at(before) + (1.0 - share) * at(after);
             state = runge_kutta_4(&dynamics, state, voltage_v, step_s);
-            room = room.min(high - state.theta).min(state.theta - low);
+            clearance_rad = clearance_rad.min(high - state.theta).min(state.theta - low);
         }
         let (theta, alpha) = (state.theta - error.theta, state.alpha - error.alpha);
         seen = through_filters(&seen, theta, alpha, &gains);
     }
-    room
+    clearance_rad
 }
 
 #[test]
@@ -155,7 +157,7 @@ fn it_agrees_with_a_simulation_of_each_particle_alone() {
         }
         worst = worst.max((f64::from(outlook.clearance_rad) - reference).abs());
     }
-    println!("{held} held, {reached} reached, room off by {worst:e} rad at most");
+    println!("{held} held, {reached} reached, clearance off by {worst:e} rad at most");
     assert!(held > 300 && reached > 150);
     // The simulation in lanes does not resolve the steep part of friction.
     assert!(worst < 0.005, "{worst} rad");
@@ -250,7 +252,7 @@ fn an_arm_that_is_not_followed_to_the_horizon_never_reaches_an_end_in_a_long_sea
 }
 
 #[test]
-fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
+fn many_particles_hold_if_each_of_them_holds_alone_on_every_instruction_set() {
     let mut draw = Draw::new(1002);
     // 70 particles make two groups, of which the second is not full.
     let particles: Vec<Particle> = (0..70).map(|_| draw.particle()).collect();
@@ -282,7 +284,7 @@ fn many_particles_are_each_of_them_alone_on_every_instruction_set() {
 }
 
 #[test]
-fn a_state_that_is_not_a_number_does_not_hold() {
+fn a_state_that_is_not_finite_does_not_hold() {
     let particles = [Particle::exact(QubeModel::NOMINAL); 3];
     let mut foresight =
         Foresight::new(&particles, CentringBrake::default(), ENDS, PREDICTION_HORIZON);

@@ -1,21 +1,21 @@
-//! Finds every path of a source file that leaves its module, from the file's tokens.
+//! Finds the paths and the literals of a source file among its tokens, and follows each path from
+//! the crate's root.
 
 use std::str::FromStr;
 
 use proc_macro2::{Delimiter, LineColumn, Spacing, TokenStream, TokenTree};
 
-/// A path, from the crate's root or from outside.
+/// A path, from the crate's root, from another crate or from a name of the module itself.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Import {
-    /// `crate`, the name of another crate or a name of the module itself, then the segments after
-    /// it.
+    /// `crate`, or the name at which the path begins, then the segments after it.
     pub path: Vec<String>,
     pub line: usize,
     pub in_tests: bool,
     pub is_public_use: bool,
 }
 
-/// All paths of a file that leave their module.
+/// All paths of a file that have two segments or more or stand in a `use`.
 pub fn imports(module: &[String], source: &str) -> Vec<Import> {
     let tokens = TokenStream::from_str(source).unwrap_or_else(|error| panic!("{error}: {source}"));
     let mut walk = Walk { imports: Vec::new(), in_tests: false, is_public_use: false, line: None };
@@ -79,13 +79,13 @@ struct Walk {
 impl Walk {
     fn tokens(&mut self, module: &[String], tokens: TokenStream) {
         let tokens: Vec<TokenTree> = tokens.into_iter().collect();
-        let outside_tests = self.in_tests;
+        let before = self.in_tests;
         self.in_tests |= is_of_tests(module);
         let mut position = 0;
         while position < tokens.len() {
             position += self.item(module, &tokens[position..]);
         }
-        self.in_tests = outside_tests;
+        self.in_tests = before;
     }
 
     /// Reads the item that starts here; returns its number of tokens.

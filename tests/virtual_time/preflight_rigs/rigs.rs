@@ -1,9 +1,9 @@
 //! The rigs on which a check must be right, and their possible defects.
 //!
 //! A rig follows from its seed: all eight wirings; the profile `lab` 0.5, 1 and 1.5 times as far
-//! from nominal; parameters within 10 % of the profile's; 1 to 4 times the friction; up to 1 degree
-//! of play. About half of the rigs lie in the corners of that domain. Published figures use seeds
-//! from 1000 on, on which nothing was tuned.
+//! from nominal; parameters within 10 % of the profile's; then 1 to 4 times the dry friction and
+//! damping of the arm; up to 1 degree of play. About half of the rigs lie in the corners of that
+//! domain. Published figures use seeds from 1000 on, on which nothing was tuned.
 
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings, Wiring};
 use qube_hil::estimation::Calibration;
@@ -15,7 +15,8 @@ use rand_chacha::ChaCha8Rng;
 /// First seed of the rigs on which nothing was tuned.
 pub const FIRST_SEED: u64 = 1000;
 
-/// Largest relative deviation of the parameters from the profile's.
+/// Largest relative deviation of the parameters from the profile's, apart from the factor on the
+/// arm's friction and damping.
 const SPREAD: f64 = 0.1;
 
 const MOST_PLAY_DEG: f64 = 1.0;

@@ -1,4 +1,4 @@
-//! Tests of rivals on known simulated Qubes: motions of Qubes from a rival's belief must resemble
+//! Tests of rivals on a known simulated Qube: motions of Qubes from a rival's belief must resemble
 //! the known Qube's motion more than motions of Qubes from the prior do.
 
 use std::sync::atomic::AtomicBool;
@@ -20,7 +20,8 @@ use crate::qube::{CONTROL_PERIOD_S, PlantModel, QubeModel, State};
 use crate::replay::{MotionLog, MotionSample};
 use crate::simulation::{LaneStatus, Pendulums, SimulationSettings, Trajectory};
 
-/// A Qube that differs from the mean of the prior by as much as a real one.
+/// A Qube that differs from the mean of the prior by 0.8 or 0.9 standard deviations in each
+/// coordinate.
 fn known_point(space: &Space) -> DVector<f64> {
     DVector::from_fn(space.dimensions(), |index, _| if index % 2 == 0 { 0.9 } else { -0.8 })
 }
@@ -34,7 +35,7 @@ fn log_of(states: impl Iterator<Item = (State, f64)>) -> MotionLog {
     MotionLog { samples: samples.collect(), plant: PlantModel::QUBE }
 }
 
-/// An excitation of a Qube, as `run --excite` records it.
+/// The motion of a Qube under an excitation of `run --excite`, with true states.
 fn excitation_of(model: QubeModel, shape: ExcitationShape, number: u32) -> Demonstration {
     let mut excitation = Excitation::of_rollout(shape, 1.5, number);
     let mut pendulums = Pendulums::new(1, &SimulationSettings::default());
