@@ -59,8 +59,8 @@ struct Arguments {
     /// false fault), and searches nothing.
     #[arg(long)]
     show: Option<u64>,
-    /// Plays 1600 episodes near the farthest one of this seed in FILE, at each of three distances,
-    /// and searches nothing.
+    /// Plays 1600 episodes near the farthest one of this seed in FILE, with each of three standard
+    /// deviations of the genes, and searches nothing.
     #[arg(long, conflicts_with = "show")]
     near: Option<u64>,
 }
@@ -201,7 +201,7 @@ fn play_near(search: &AdversarySearch, record: &SearchRecord) {
     for spread in [0.01, 0.03, 0.1] {
         let near = search.play_near(&record.scenario, &found.genes, spread, 1600);
         println!(
-            "seed {} {:?}, genes within {spread}: {} of {} episodes reach the stop, farthest \
+            "seed {} {:?}, genes with a deviation of {spread}: {} of {} episodes reach the stop, farthest \
              {:.4} rad",
             search.seed, search.method, near.hits, near.episodes, near.farthest_rad
         );

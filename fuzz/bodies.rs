@@ -1,10 +1,10 @@
-//! The bodies of the fuzz targets: public functions that process bytes of any origin. The fuzzer
-//! runs them on generated input and `tests/virtual_time/fuzz_corpus.rs` on the corpus. Each returns
-//! whether the bytes were accepted.
+//! The bodies of the fuzz targets. Each calls public functions of the library with bytes of any
+//! origin and returns whether they were accepted. The fuzzer runs them on generated input and
+//! `tests/virtual_time/fuzz_corpus.rs` on the corpus.
 //!
-//! Depending on the first byte, `wire`, `recording` and `ledger` take the bytes as they are or give
-//! them a correct checksum, and `recording` a file around them, first: bytes with a wrong checksum
-//! are refused before any of their content is read.
+//! The first byte decides whether `wire`, `recording` and `ledger` take the bytes as they are or
+//! first give them a correct checksum; `recording` then also puts them into a file. Bytes without a
+//! correct checksum are refused before their content is read.
 #![allow(dead_code)]
 
 use std::collections::BTreeMap;

@@ -23,11 +23,11 @@ from .settings import as_path, refuse_options, shown
 
 class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
     """One Qube, real or emulated: the control thread, the guard, the limit on the voltage and the watchdog stay in the
-    program, which requests a voltage from Python at each tick.
+    program, which requests a voltage from Python in each tick with a sample.
 
     Args:
         device: Serial port of a Qube, a text or a path, or ``hil:CARD@ID`` for a Qube with the USB panel. None drives the
-            Qube whose port the option ``qube`` names, and the emulated one without that option.
+            Qube whose port the file of the option ``qube`` names, and the emulated one without that option.
         deadline_ms: Time limit of an answer within the tick of 10 ms, 0.1 to 8.5 ms; None takes the time that the measured
             link leaves, at most 5 ms. After a late answer the last voltage is held; ten in a row brake the arm and raise a
             `LateError`.
@@ -42,10 +42,11 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
             controller are refused. Those for the number of rollouts, the folder, the screen and the live view have no
             effect.
 
-    Spaces, rewards, termination and truncation are those of `QubeEnv`. The state is estimated from the encoders, and
-    foresight is the guard unless an option says otherwise: an episode is terminated where the guard takes over. The
-    constructor examines and homes the Qube, and ``reset`` settles it. ``close``, an exception of ``step`` or ``reset``,
-    also that of Ctrl-C, and the end of the interpreter brake the arm and switch the motor off.
+    Spaces and the reward of one control period are those of `QubeEnv`; an episode is truncated after 600 control
+    periods. The state is estimated from the encoders. Foresight is the guard unless an option selects another one, and
+    an episode is terminated where the guard takes over. The constructor examines and homes the Qube, and ``reset``
+    settles it. The arm is braked and the motor switched off by ``close``, by an exception of ``step`` or ``reset``
+    (also by Ctrl-C), and at the end of the interpreter.
 
     One thread at a time calls ``step`` and ``reset``; a second one gets a `BusyError`, which changes nothing. ``close`` may
     be called from any thread and from the handler of a signal, for example by a stop button: the arm is braked at once, and
@@ -55,11 +56,12 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
         SettingsError: An argument or option is refused, or the folder of ``recordings`` cannot be made.
         DeviceError: The Qube cannot be opened.
 
-    ``info`` has ``late_answers``. After a step it also has ``ticks``, the number of requests for a voltage in the step: one,
-    and more after late answers. The reward is the sum over all control periods of the step, also over those without a
-    request, in which a sample was lost or which were skipped. ``voltage_v`` is the voltage that the motor got in the last of
-    these periods: Python's, unless an asking push, which shows whether the arm's encoder counts, a late answer or the guard
-    replaced it. At the end of an episode there are ``ending`` in words, ``return`` and ``recording``.
+    ``info`` has ``late_answers``, their number in the episode. After a step it also has ``ticks``, the number of
+    requests for a voltage in the step: one, and more after late answers. The reward is the sum over the control periods
+    of the step, including those whose sample was lost and up to four skipped ones a tick. ``voltage_v`` is the voltage
+    that the motor got in the last of these periods. It is Python's unless a late answer, the guard or an asking push
+    replaced it; an asking push shows whether the arm's encoder counts. At the end of an episode there are ``ending`` in
+    words, ``return`` and ``recording``.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 100}
@@ -131,7 +133,7 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
                 number += 1
             path = self._folder / name
             observation = self._device.reset(str(path), *episode)
-            # Only after the reset above, because a call that is refused has no effect.
+            # Only after the reset above, so that a reset that fails leaves the sequence of seeds as it was.
             super().reset(seed=given)
             (self._seed, self._number), self._recording = episode, path
             return observation, {"late_answers": 0}
@@ -153,8 +155,8 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
             raise
 
     def _brake(self, error: BaseException) -> None:
-        """Brakes the arm before an exception leaves a call, unless a call of another thread is under way. A handler of
-        a signal may raise one at any place."""
+        """Brakes the arm before an exception leaves a call, unless a call of another thread is under way. The
+        exception may come from a signal's handler, which can interrupt a call anywhere."""
         if isinstance(error, BusyError):
             # The episode of another thread goes on.
             return

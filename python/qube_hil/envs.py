@@ -63,7 +63,7 @@ def _as_actions(actions: npt.ArrayLike, shape: tuple[int, ...]) -> Float32s:
             raise ActionError(
                 f"the actions have the type {array.dtype}: give numbers of type float32"
             )
-        # A finite number stays one in single precision.
+        # A large finite number would become infinite in single precision.
         array = np.where(np.isfinite(array), np.clip(array, -2, 2), array).astype(np.float32)
     if array.shape != shape:
         raise ActionError(f"the actions have the shape {array.shape}: give {shape}")
@@ -135,8 +135,8 @@ class Uncopied:
 
     def __reduce__(self) -> NoReturn:
         raise CopyError(
-            f"a {type(self).__name__} cannot be copied or pickled, because both would drive the same Qubes: make another "
-            "one, in the process that uses it"
+            f"a {type(self).__name__} cannot be copied or pickled, because the copy would drive the same Qubes: make "
+            "another one, in the process that uses it"
         )
 
 
@@ -155,8 +155,9 @@ class QubeEnv(Uncopied, gymnasium.Env[Any, Any]):
             the errors that the profile names; None stands for 0.1.
         settings: Sensors, history, reward and box: ``thesis``, ``machine``, ``robust``, or a mapping.
         seed: Seed of the episodes until ``reset`` names another.
-        guard: ``box``, or ``foresight`` as on a real Qube: before each voltage the brake is simulated for many Qubes that
-            this one may be, and it takes over where it would otherwise be too late. A step then takes many times as long.
+        guard: ``box``, or ``foresight`` as on a real Qube: before each voltage the guard simulates the brake for many
+            Qubes that this one may be; the brake takes over where a later start would be too late. A step then takes
+            many times as long.
 
     An observation is ``float32 [6 + history]``, an action ``float32 [1]``, a fraction of 5 V. The reward of a step is
     in (0, 1]. An episode is terminated where the state leaves the box or the guard takes over, and truncated after 600
@@ -196,9 +197,9 @@ class QubeEnv(Uncopied, gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Float32s, dict[str, Any]]:
-        """Begins the next episode of the seed, or the first one of another seed. Returns the observation, ``float32
-        [6 + history]``. ``options`` other than None or an empty mapping raise a `SettingsError`, and a closed environment
-        raises a `ClosedError`."""
+        """Begins the next episode; with ``seed``, also the one in use, the first episode of this seed. Returns the
+        observation, ``float32 [6 + history]``. ``options`` other than None or an empty mapping raise a `SettingsError`,
+        and a closed environment raises a `ClosedError`."""
         _refuse_options(options)
         if self._is_closed:
             raise _closed()
@@ -246,9 +247,9 @@ class QubeVectorEnv(Uncopied, VectorEnv[Any, Any, Any]):
     again, overwritten, which is faster. Actions may be a view of them.
 
     A Qube whose episode ends begins the next one in the same step (``AutoresetMode.SAME_STEP``). Its last observation
-    is then in ``info["final_obs"]``, where ``info["_final_obs"]`` is true; ``info["episode_number"]`` has the numbers of
-    the running episodes. With foresight, ``info["guarded"]`` of each step says where it ended the episode. Episodes are
-    numbered as they begin: the same seed gives the same episodes, whatever ``num_envs``.
+    is then in ``info["final_obs"]``, where ``info["_final_obs"]`` is true; ``info["episode_number"]`` has the numbers
+    of the running episodes. With foresight, ``info["guarded"]`` of each step is true for each Qube whose episode the
+    guard ended. Episodes are numbered as they begin: the same seed gives the same episodes, whatever ``num_envs``.
     """
 
     metadata: dict[str, Any] = {
@@ -299,9 +300,9 @@ class QubeVectorEnv(Uncopied, VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Float32s, dict[str, Any]]:
-        """Begins the next episode of the seed in every Qube, or the first ones of another seed. Returns the observations,
-        ``float32 [num_envs, 6 + history]``. ``options`` other than None or an empty mapping, such as Gymnasium's
-        ``reset_mask``, raise a `SettingsError`, and a closed environment raises a `ClosedError`."""
+        """Begins the next episode in every Qube; with ``seed``, also the one in use, the first episodes of this seed.
+        Returns the observations, ``float32 [num_envs, 6 + history]``. ``options`` other than None or an empty mapping,
+        such as Gymnasium's ``reset_mask``, raise a `SettingsError`, and a closed environment raises a `ClosedError`."""
         _refuse_options(options)
         if self.closed:
             raise _closed()

@@ -46,15 +46,16 @@ enum Action {
     },
 }
 
-/// The effect of a file of settings without the table `[identification]`, where the preset has one.
-pub const WITHOUT_IDENTIFICATION: &str =
-    "without the table [identification] the method is bayrn, a search for an unknown Qube";
+/// The effect of a file of settings without the table `[identification]`, where `config print` shows
+/// this table for the preset.
+pub const WITHOUT_IDENTIFICATION: &str = "without the table [identification] the method is bayrn, a search that does not identify the Qube";
 
 const HEAD: &str = "\
 # The settings of a session, each with its meaning, unit and accepted values. Keep only the lines that you change:
-# all other settings come from the preset. But a list such as [[psi]] replaces the preset's list, [profile] has
-# to be whole, because it describes one identified Qube, and without the table [identification] the default method is
-# bayrn, a search that does not identify the Qube. Lines with # and no space are absent by default, with an example.
+# all other settings come from the preset. There are three exceptions. A list such as [[psi]] replaces the preset's
+# list. [profile] has to be whole, because it describes one identified Qube. Without the table [identification] the
+# default method is bayrn, a search that does not identify the Qube. A line that begins with # and no space shows a
+# setting that is absent by default, with an example of its value.
 # A plant other than the Qube is described in a file of its own (--plant).";
 
 /// Prints the settings or checks files of them.

@@ -32,10 +32,10 @@ use crate::storage::Existing;
 /// `report` simulate that Qube, and `run`, `session`, `experiment` and `emulate` emulate it. For a
 /// real Qube, name the profile in its qube.toml. Verify a profile with recordings that it was not
 /// fitted to (--holdout): every 0.1 s a start state is estimated from 0.2 s of the recording, and
-/// the model then receives only the voltages. The cable rests as in the fitted recordings of the
-/// same series; the names of a series differ in the last number only. A recording whose pendulum
-/// comes upright is predicted piece by piece: 0.5 s of its swing, from a start state of 0.05 s of
-/// the recording, and 0.1 s of its balance. Recordings that are too short, or in which too little
+/// the model then receives only the voltages. The cable's rest angle comes from the fitted recordings
+/// of the same series; the names of a series differ in the last number only. A recording whose
+/// pendulum comes upright is predicted piece by piece: 0.5 s of its swing, from a start state that
+/// is estimated from 0.05 s of the recording, and 0.1 s of its balance. Recordings that are too short, or in which too little
 /// moves, are named and not used.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -85,8 +85,8 @@ pub struct Arguments {
 /// Voltages that `run --volts` accepts, V.
 const RUN_VOLTS: RangeInclusive<f64> = 0.1..=3.0;
 
-/// Fits, verifies, writes the profile and prints the result. A picture that cannot be written is a
-/// failure after that.
+/// Fits, verifies, writes the profile and prints the result. If a picture cannot be written, it
+/// returns the failure after that.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
     let out = OutputFile::prepare(&arguments.out, Existing::replaced_if(arguments.force))?;

@@ -287,8 +287,9 @@ impl<C: Controller> Tick<C> {
             && matches!(self.reason, Ending::LeftBox(_))
     }
 
-    /// Returns whether an overheated motor is a limit that the policy leaves, or because of which
-    /// the arm is being braked already. Otherwise it is a fault.
+    /// Returns whether an overheated motor counts as an exceeded limit and not as a fault: from
+    /// [`TickRules::SlownessTested`] on, while the policy runs and while the arm is braked because
+    /// of the motor's load.
     fn is_limited_by_motor(&self) -> bool {
         self.settings.rules >= TickRules::SlownessTested
             && (self.phase == Phase::Running
@@ -296,8 +297,8 @@ impl<C: Controller> Tick<C> {
                     && self.reason == Ending::LeftBox(Limit::MotorLoad)))
     }
 
-    /// The event that ends braking, once the arm has stopped or its time to stop is over, or when
-    /// it does not obey the motor.
+    /// The event that ends braking: the arm has stopped, the time for braking is over, or the arm
+    /// does not obey the motor.
     fn braking_end(&mut self) -> Option<(ControlEvent, Ending)> {
         let arm = &self.estimates.guarded;
         let kind = if self.damps { BrakeKind::Damping } else { BrakeKind::Guarded };

@@ -114,8 +114,11 @@ pub(super) struct Scored {
 
 impl TrainingState<'_> {
     /// Performs one update of Algorithm 1 (Eilers 2019): collects, optimises, evaluates. Returns
-    /// `None` if the update diverged: both networks and their moments are then as before it, and
-    /// the training or its stage ends.
+    /// `None` if an update after the first diverged: both networks and their moments are then as
+    /// before it, and the training or its stage ends.
+    ///
+    /// # Errors
+    /// `stop` was set, or the first update diverged.
     pub fn update(&mut self, stop: &AtomicBool) -> Result<Option<&TrainUpdate>, TrainError> {
         let of = |learner: &Learner| (learner.network.clone(), learner.moments.clone());
         let before = [of(&self.policy), of(&self.value)];

@@ -21,8 +21,8 @@ const LEAST_GAIN: f64 = 0.12;
 ///
 /// A brake that is firm enough for a weak motor with a heavy arm rings on a strong motor with a
 /// light arm, because its voltage arrives late. A brake that rings has more gain than it needs, so
-/// a smaller gain is still firm: the product of gain, delay and the motor's acceleration stays just
-/// below the value at which the loop rings, for every Qube. `examples/braked_qubes.rs` counts the
+/// a smaller gain is still firm: each change of sign that counts as ringing lowers the gain, until
+/// the loop no longer rings or the gain is [`LEAST_GAIN`]. `examples/braked_qubes.rs` counts the
 /// Qubes that come to rest with this factor and without it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RingingGain {

@@ -81,14 +81,15 @@ pub(super) fn quasi_random_point(search_box: &SearchBox, seed: u64, index: usize
     search_box.from_unit(&sobol_point(index, search_box.dimensions(), scramble))
 }
 
-/// The random stream of one candidate.
+/// The random stream with this index under a seed.
 pub(super) fn stream(seed: u64, index: usize) -> ChaCha8Rng {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(index as u64);
     random
 }
 
-/// Recommends the evaluated candidate with the highest mean return, for strategies without a model.
+/// Recommends the evaluated candidate with the highest mean return, for strategies without a
+/// surrogate.
 pub(super) fn best_evaluated(
     search_box: &SearchBox,
     data: &[Observation],

@@ -27,7 +27,9 @@ pub enum FolderError {
         path: PathBuf,
     },
     /// The folder to resume is empty, or its session ended before it had its `session.toml`.
-    #[error("{path} has nothing to resume: it is empty, or its session ended before it began")]
+    #[error(
+        "{path} has nothing to resume: it is empty, or its session was stopped before its session.toml was complete"
+    )]
     NotBegun {
         /// Path of the folder.
         path: PathBuf,

@@ -50,10 +50,10 @@ impl Motion for Noted<'_> {
     }
 }
 
-/// The result of a rollout, in the emulated Qube's time.
+/// A rollout's ending, the time of its policy, and the final error of the zero.
 pub struct Outcome {
     pub ending: Ending,
-    /// Times at which the policy got and lost control of the motor, s.
+    /// Times at which the policy got and lost control of the motor, s of the emulated Qube.
     pub ran_s: (f64, f64),
     /// Final error of the arm's zero, rad.
     pub zero_off_rad: f64,
@@ -128,12 +128,11 @@ impl Freeze {
     }
 }
 
-/// A result for each of the [`KINDS`] of freeze; `None` where the [`rollout`] with the freeze gives
-/// none.
+/// One [`Freeze`] for each of the [`KINDS`]; `None` where [`rollout`] returns `None`.
 pub type Freezes = [Option<Freeze>; KINDS.len()];
 
 /// Runs an undisturbed rollout, then the same rollout with a freeze of each of the [`KINDS`];
-/// `None` if the undisturbed [`rollout`] gives none. The seed determines the instant of the freeze:
+/// `None` if [`rollout`] returns `None` for the undisturbed one. The seed determines the instant of the freeze:
 /// over many seeds the instants are spread evenly over the time in which the policy drives, except
 /// its last 0.35 s.
 pub fn freezes(qube: EmulatorSettings, policy: &Policy) -> Option<(Outcome, Freezes)> {

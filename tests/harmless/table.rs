@@ -23,7 +23,7 @@ impl Trial {
         self.contact_before_policy_rad_s <= FASTEST_CONTACT_RAD_S.max(1.01 * self.contact_off_rad_s)
     }
 
-    /// Returns whether the fault was named correctly, or none was named and none must be.
+    /// Returns whether the fault was named correctly, or the start ended without a fault and may.
     pub fn is_named_rightly(&self, start: &Start) -> bool {
         match self.ending {
             Ending::Fault(fault) => start.case.names_rightly(fault),
@@ -31,7 +31,7 @@ impl Trial {
         }
     }
 
-    /// Returns whether a stop was touched too fast and not by a hand, the fault was not named
+    /// Returns whether the arm touched a stop too fast in a case without a hand, the fault was not named
     /// correctly, or a failing arm encoder led to a false result.
     pub fn falls_short(&self, start: &Start) -> bool {
         !self.is_harmless() && !start.case.is_by_hand()
@@ -61,7 +61,7 @@ pub struct Row {
     case: Case,
     starts: usize,
     pub harmless: bool,
-    gentle_rad_s: f64,
+    contact_before_policy_rad_s: f64,
     /// Fastest contact with a stop in a rollout, rad/s.
     pub rollout_rad_s: f64,
     too_fast: usize,
@@ -78,9 +78,9 @@ pub struct Row {
 }
 
 impl Row {
-    pub const HEAD: &str = "| case | starts | fastest contact, homing and settling | too fast | \
-        named rightly | false results | fastest contact, rollout | freezes in a rollout whose motor was off \
-        more than 300 ms later (damped until then) | homing, mean and longest | how they ended |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |";
+    pub const HEAD: &str = "| case | starts | fastest contact, homing and settling, rad/s | too fast | \
+        named rightly | false results | fastest contact, rollout, rad/s | faults that began in a rollout: \
+        of the arm's encoder with the motor on for more than 300 ms after it, of all | homing, mean and longest | how they ended |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |";
 
     pub fn of(case: Case, trials: &[(Start, Trial)]) -> Self {
         let largest = |value: fn(&Trial) -> f64| {
@@ -104,7 +104,7 @@ impl Row {
             case,
             starts: trials.len(),
             harmless: case.is_by_hand() || trials.iter().all(|(_, trial)| trial.is_harmless()),
-            gentle_rad_s: largest(|trial| trial.contact_before_policy_rad_s),
+            contact_before_policy_rad_s: largest(|trial| trial.contact_before_policy_rad_s),
             rollout_rad_s: largest(|trial| trial.rollout_contact_rad_s),
             too_fast: count(&|_, trial| !trial.is_harmless()),
             named_rightly: count(&|start, trial| trial.is_named_rightly(start)),
@@ -131,7 +131,7 @@ impl fmt::Display for Row {
             "| {:?} | {} | {:.2} | {} | {} | {} | {:.1} | {} of {} | {:.1}, {:.1} s | {} |",
             self.case,
             self.starts,
-            self.gentle_rad_s,
+            self.contact_before_policy_rad_s,
             self.too_fast,
             self.named_rightly,
             self.false_results,
