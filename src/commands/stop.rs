@@ -52,10 +52,15 @@ impl Stop {
                 std::process::exit(128 + SIGINT);
             }
             answering.store(true, Ordering::Relaxed);
-            // After SIGTERM or SIGHUP, a Ctrl-C does not change the exit code.
-            if !interrupt.swap(true, Ordering::Relaxed) {
-                interrupted_by.store(SIGINT as usize, Ordering::Relaxed);
-            }
+            interrupt.store(true, Ordering::Relaxed);
+            // After SIGTERM or SIGHUP, a Ctrl-C does not change the exit code. Their handlers store
+            // the signal before they set the flag, so the flag does not show which came first.
+            let _ = interrupted_by.compare_exchange(
+                0,
+                SIGINT as usize,
+                Ordering::Relaxed,
+                Ordering::Relaxed,
+            );
             let answer = *answered.lock().unwrap_or_else(PoisonError::into_inner);
             // Printing to a halted terminal or a full pipe may block, and must not delay the second
             // Ctrl-C.
