@@ -213,8 +213,8 @@ fn a_signal_restores_the_terminal(signal: &str, exit_code: i32) {
     tmux.must_be_restored(exit_code);
 }
 
-/// Ctrl-Z gives the shell its terminal; `fg` brings the screen back. A run with `--plain` ends on
-/// the ordinary screen, too.
+/// Ctrl-Z gives the shell its terminal; `fg` brings the screen back. A run with `--plain` shows
+/// no screen.
 fn suspension_lends_the_terminal_to_the_shell() {
     let directory = tempfile::tempdir().unwrap();
     let Some(tmux) = Tmux::start(directory.path()) else { return };
@@ -234,7 +234,7 @@ fn suspension_lends_the_terminal_to_the_shell() {
     }
 
     tmux.run(&format!("{RUN} plain --plain"));
-    tmux.wait_for("homing");
+    tmux.wait_for("the space bar or Ctrl-C brakes the arm");
     assert_eq!(tmux.value("#{alternate_on}"), "0");
     tmux.press("C-c");
     tmux.must_be_restored(130);
