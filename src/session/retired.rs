@@ -62,9 +62,8 @@ pub fn take_retired(settings: &mut DeTable<'_>, text: &str) -> Vec<Retired> {
     let mut taken = Vec::new();
     for (path, name) in RETIRED {
         if let Some(value) = entry_at(settings, path).and_then(|table| table.remove(name)) {
-            let (key, value) =
-                (format!("{}.{name}", path.join(".")), text[value.span()].to_owned());
-            taken.push(Retired { key, value });
+            let key = format!("{}.{name}", path.join("."));
+            taken.push(Retired { key, value: text[value.span()].to_owned() });
         }
     }
     taken
