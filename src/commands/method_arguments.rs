@@ -1,7 +1,7 @@
 use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
 use super::number_arguments::spread;
-use crate::experiment::{Method, MethodSettings, RepetitionSeeds};
+use crate::experiment::{Method, MethodSettings, RepetitionSeeds, RivalSettings};
 
 /// The arguments that compare methods of finding a policy instead of recipes.
 #[derive(Clone, Debug, clap::Args)]
@@ -59,6 +59,18 @@ pub struct MethodArguments {
         value_parser = spread
     )]
     spread: f64,
+
+    /// Numbers of the methods from the literature that differ from the default ones, each as
+    /// name=value (docs/rivals.md has the names)
+    #[arg(
+        long,
+        value_name = "NUMBERS",
+        default_value = "",
+        hide_default_value = true,
+        requires = "strategies",
+        conflicts_with = "resume"
+    )]
+    rival_settings: RivalSettings,
 }
 
 impl MethodArguments {
@@ -72,6 +84,7 @@ impl MethodArguments {
             budgets: self.budgets.clone(),
             trainings: self.trainings,
             seeds: RepetitionSeeds::OfEachPlant,
+            rivals: self.rival_settings,
         })
     }
 }

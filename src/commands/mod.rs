@@ -111,8 +111,8 @@ struct CommandLine {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Session(session::Arguments),
-    Experiment(experiment::Arguments),
+    Session(Box<session::Arguments>),
+    Experiment(Box<experiment::Arguments>),
     Work(work::Arguments),
     Train(train::Arguments),
     Import(import::Arguments),
@@ -151,8 +151,8 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
     log_to_stderr(command_line.verbose);
     let output = Output::new(command_line.json);
     let outcome = match command_line.command {
-        Command::Session(arguments) => session::run(arguments, &output),
-        Command::Experiment(arguments) => experiment::run(arguments, &output),
+        Command::Session(arguments) => session::run(*arguments, &output),
+        Command::Experiment(arguments) => experiment::run(*arguments, &output),
         Command::Work(arguments) => work::run(&arguments, &output),
         Command::Train(arguments) => train::run(arguments, &output),
         Command::Import(arguments) => import::run(&arguments, &output),

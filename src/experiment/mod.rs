@@ -46,7 +46,7 @@ pub use irreplaceable::is_irreplaceable;
 pub use made::Made;
 pub use methods::{
     ALL_PLANTS, Method, MethodResult, MethodResults, MethodSettings, RecommendationOutcome,
-    RecommendationResult, RecommendationScore, Repetition, RepetitionSeeds,
+    RecommendationResult, RecommendationScore, Repetition, RepetitionSeeds, RivalSettings,
 };
 pub use opened::Experiment;
 pub use plant::Plant;

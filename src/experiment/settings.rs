@@ -270,7 +270,7 @@ fn text_of(path: &Path) -> Result<String, ExperimentError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{Method, RepetitionSeeds};
+    use crate::experiment::{Method, RepetitionSeeds, RivalSettings};
     use crate::session::{EmulatedQubeSettings, SessionSettings};
     use crate::simulation::Model;
 
@@ -303,6 +303,7 @@ mod tests {
             budgets: vec![0, 2, 5],
             trainings: 2,
             seeds: RepetitionSeeds::OfEachPlant,
+            rivals: RivalSettings::default(),
         };
         ExperimentSettings { recipes: vec![recipe], methods: Some(methods), ..settings() }
     }

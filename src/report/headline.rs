@@ -139,7 +139,7 @@ mod tests {
     use super::*;
     use crate::experiment::{
         Method, Plant, PolicyResult, Recipe, RecommendationOutcome, RecommendationResult,
-        RecommendationScore, Repetition, RolloutResult,
+        RecommendationScore, Repetition, RivalSettings, RolloutResult,
     };
     use crate::scoring::{Behaviour, Quietness};
     use crate::session::SessionSettings;
@@ -260,6 +260,7 @@ mod tests {
             budgets: vec![2, 5],
             trainings: 1,
             seeds: RepetitionSeeds::OfEachPlant,
+            rivals: RivalSettings::default(),
         };
         let mut settings =
             ExperimentSettings { methods: Some(methods), ..settings(&["lab", "furuta"]) };

@@ -520,6 +520,8 @@ fn impossible_settings_are_refused_before_anything_is_made() {
         (vec!["--strategies", "cem", "--models", "opt-nominal,opt-robust"], "one model"),
         (vec!["--strategies", "cem", "--plants", "plants.toml"], "one plant"),
         (vec!["--strategies", "cem", "--device", "/dev/ttyACM0"], "emulated Qube only"),
+        (vec!["--strategies", "cem", "--rival-settings", "fpo=1"], "unknown field `fpo`"),
+        (vec!["--strategies", "cem", "--rival-settings", "fpo_beta=99"], "rivals.fpo_beta = 99"),
         (vec!["--repetitions", "3"], "--strategies"),
         (vec!["--models", "nominl"], "nominal-handcrafted"),
         (vec!["--recipe", "nominal.toml", "--device", "/dev/ttyNOWHERE"], "no such port"),
@@ -569,6 +571,7 @@ fn an_experiment_goes_on_with_the_settings_that_it_began_with_and_no_others() {
         (&["--budgets", "2"], "--budgets"),
         (&["--trainings", "2"], "--trainings"),
         (&["--recordings", "2"], "--recordings"),
+        (&["--rival-settings", "fpo_beta=1"], "--rival-settings"),
     ] {
         let resume = [&["--resume", "one"], arguments].concat();
         let output = experiment(directory.path(), &resume).output().unwrap();

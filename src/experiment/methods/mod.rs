@@ -38,5 +38,6 @@ pub use repetition::{
     RecommendationOutcome, RecommendationResult, RecommendationScore, Repetition,
 };
 pub use results::{MethodResult, MethodResults};
+pub use rivals::RivalSettings;
 pub(super) use run::Access;
 pub use settings::{MethodSettings, RepetitionSeeds};

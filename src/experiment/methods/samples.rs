@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::run::{Access, MethodRun};
-use super::{Method, MethodSettings, RepetitionSeeds};
+use super::{Method, MethodSettings, RepetitionSeeds, RivalSettings};
 use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings, Plant, Recipe};
 use crate::qube::{Measurement, PlantModel, State};
 use crate::recording::{RolloutWriter, samples};
@@ -31,6 +31,7 @@ pub fn experiment_on(root: &Path, methods: Vec<Method>, plants: Vec<Plant>) -> E
         budgets: vec![0, 2, 5],
         trainings: 1,
         seeds: RepetitionSeeds::OfEachPlant,
+        rivals: RivalSettings::default(),
     };
     let settings = ExperimentSettings {
         name: "table".into(),

@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Method;
+use super::rivals::RivalSettings;
 use crate::experiment::ExperimentSettingError;
 
 /// The settings of a comparison of methods.
@@ -33,6 +34,9 @@ pub struct MethodSettings {
     /// all plants.
     #[serde(default)]
     pub seeds: RepetitionSeeds,
+    /// Numbers of the methods from the literature.
+    #[serde(default, skip_serializing_if = "RivalSettings::are_default")]
+    pub rivals: RivalSettings,
 }
 
 /// The seeds of a repetition on several plants.
@@ -102,6 +106,6 @@ impl MethodSettings {
         ] {
             ExperimentSettingError::in_range(name, value, range)?;
         }
-        Ok(())
+        self.rivals.check()
     }
 }

@@ -29,17 +29,17 @@ const STEPS: usize = 3;
 /// Rate of these steps.
 const RATE: f64 = 0.5;
 
-/// Temperature of the reward, by which its slope is divided: the lower, the more the particles
-/// follow the reward rather than the prior.
-const TEMPERATURE: f64 = 0.3;
-
 /// Active domain randomisation (Mehta et al. 2020, reference 20 of the thesis): particles look for
 /// the Qubes in which the policy behaves most unlike its behaviour in the reference Qube, the mean
 /// of the prior, and the policy trains on these.
 ///
 /// The reward of a Qube is the logarithm of the probability with which a discriminator tells the
 /// policy's motion in it from its motions in the reference Qube.
-pub struct ActiveRandomisation;
+pub struct ActiveRandomisation {
+    /// Temperature of the reward, by which its slope is divided: the lower, the more the particles
+    /// follow the reward rather than the prior.
+    pub temperature: f64,
+}
 
 impl Rival for ActiveRandomisation {
     fn data(&self) -> Data {
@@ -85,7 +85,7 @@ impl Rival for ActiveRandomisation {
                             let [one, other] = [0, 1]
                                 .map(|side| differs.probability(&motions[side]).max(1e-6).ln());
                             let scale = (one - other) / (2.0 * DISTANCE * PAIRS as f64);
-                            slope += (scale / TEMPERATURE) * direction;
+                            slope += (scale / self.temperature) * direction;
                         }
                         slope
                     })

@@ -1,5 +1,5 @@
 use super::belief::RivalBelief;
-use super::mixture_density::MixtureDensity;
+use super::mixture_density::{Fit, MixtureDensity};
 use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::{SampledMotion, simulate};
 use super::summary::{features, parts_of, statistics};
@@ -14,7 +14,10 @@ const PASSES: usize = 60;
 /// BayesSim (Ramos, Possas and Fox 2019, reference 17 of the thesis): learns the posterior of a
 /// Qube given summary statistics of its motions, averaged over all recordings. A mixture density
 /// network learns from simulations of Qubes drawn from the prior.
-pub struct BayesSim;
+pub struct BayesSim {
+    /// Number of components of the mixture.
+    pub components: usize,
+}
 
 impl Rival for BayesSim {
     fn data(&self) -> Data {
@@ -45,7 +48,8 @@ impl Rival for BayesSim {
         }
         let inputs: Vec<_> = simulated.iter().map(|own| features(own, shortest)).collect();
         let weights = vec![1.0; SAMPLES];
-        let network = MixtureDensity::fit(&inputs, &targets, &weights, PASSES, given.seed);
+        let shape = Fit { components: self.components, passes: PASSES };
+        let network = MixtureDensity::fit(&inputs, &targets, &weights, shape, given.seed);
         let posterior = network.given(&features(&real, shortest));
         let points = posterior.draws(POINTS, &mut random);
         Ok(RivalBelief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))

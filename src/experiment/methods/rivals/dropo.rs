@@ -28,11 +28,14 @@ const LOG_DEVIATIONS: [f64; 2] = [-4.0, 0.0];
 pub struct Dropo {
     /// Number of evaluations of the likelihood, rounded up to whole generations of CMA-ES.
     pub evaluations: usize,
+    /// Factor on the noise of a transition's end.
+    pub noise: f64,
 }
 
-impl Default for Dropo {
-    fn default() -> Self {
-        Self { evaluations: 3000 }
+impl Dropo {
+    /// The method with as many evaluations as in a comparison.
+    pub fn with_noise(noise: f64) -> Self {
+        Self { evaluations: 3000, noise }
     }
 }
 
@@ -45,6 +48,7 @@ impl Rival for Dropo {
         let logs: Vec<&MotionLog> = given.recorded.iter().map(|it| &it.log).collect();
         let transitions = Transition::of_logs(&logs, TRANSITIONS);
         let real: Vec<[f64; 4]> = transitions.iter().map(|it| it.end).collect();
+        let noise = NOISE.map(|it| self.noise * it);
         let dimensions = given.space.dimensions();
         let mut random = given.random();
         // All distributions share the draws, so that the likelihood is a function of the
@@ -63,7 +67,7 @@ impl Rival for Dropo {
                 models.iter().map(|model| transition.predicted(model)).collect::<Vec<_>>()
             };
             let simulated: Vec<Vec<[f64; 4]>> = transitions.iter().map(ends).collect();
-            -log_likelihood(&real, &simulated, &NOISE)
+            -log_likelihood(&real, &simulated, &noise)
         };
         let bounds = |end: usize| {
             [vec![MEANS[end]; dimensions], vec![LOG_DEVIATIONS[end]; dimensions]].concat()

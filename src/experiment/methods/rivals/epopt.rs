@@ -5,10 +5,6 @@ use super::transitions::{NOISE, Transition};
 use crate::learning::{TrainError, TrainSettings};
 use crate::replay::MotionLog;
 
-/// Share of an update's trajectories that the policy learns from in the second half of the updates:
-/// those with the lowest returns.
-const WORST_SHARE: f32 = 0.1;
-
 /// Number of particles: points of the space of Qubes that together represent the belief.
 const PARTICLES: usize = 400;
 
@@ -20,7 +16,11 @@ const DEGREES: f64 = 4.0;
 
 /// EPOpt (Rajeswaran et al. 2017, reference 18 of the thesis): trains on the worst simulated
 /// trajectories, and weights simulated Qubes by the likelihood of the real transitions.
-pub struct EpOpt;
+pub struct EpOpt {
+    /// Share of an update's trajectories that the policy learns from in the second half of the
+    /// updates: those with the lowest returns.
+    pub worst_share: f32,
+}
 
 impl Rival for EpOpt {
     fn data(&self) -> Data {
@@ -56,6 +56,6 @@ impl Rival for EpOpt {
     }
 
     fn shape_training(&self, training: &mut TrainSettings) {
-        training.worst_share = WORST_SHARE;
+        training.worst_share = self.worst_share;
     }
 }

@@ -20,9 +20,6 @@ const RANDOM_STAGES: u32 = 3;
 /// Number of distributions among which the next one is chosen.
 const CHOICES: usize = 300;
 
-/// Weight of the standard deviation in the upper confidence bound.
-const BETA: f64 = 2.0;
-
 /// Lower ends of psi: the logarithm of the width relative to the prior, and the shifts along three
 /// random directions.
 const LOWER: [f64; 4] = [-1.5, -1.0, -1.0, -1.0];
@@ -39,7 +36,10 @@ const FINGERPRINT_RANGE: [f64; 2] = [-2.0, 2.0];
 /// the highest upper confidence bound of the return after the stage. Bayesian optimisation predicts
 /// the return from the distribution and from the fingerprint of the policy before the stage. The
 /// policy with the highest return after any stage is kept.
-pub struct FingerprintOptimisation;
+pub struct FingerprintOptimisation {
+    /// Weight of the standard deviation in the upper confidence bound.
+    pub beta: f64,
+}
 
 impl Rival for FingerprintOptimisation {
     fn data(&self) -> Data {
@@ -75,7 +75,7 @@ impl Rival for FingerprintOptimisation {
             let choices: Vec<Vec<f64>> = (0..CHOICES).map(|_| random_psi()).collect();
             let psi = match stage < RANDOM_STAGES {
                 true => choices[0].clone(),
-                false => highest_ucb(&data, &choices, &fingerprint_before, given.seed),
+                false => self.highest_ucb(&data, &choices, &fingerprint_before, given.seed),
             };
             let mut shift = DVector::zeros(dimensions);
             for (direction, by) in directions.iter().zip(&psi[1..]) {
@@ -106,26 +106,32 @@ impl Rival for FingerprintOptimisation {
     }
 }
 
-/// The choice with the highest upper confidence bound of the return after the next stage, for a
-/// policy with this fingerprint; the first choice where the data cannot be fitted.
-fn highest_ucb(
-    data: &[Observation],
-    choices: &[Vec<f64>],
-    fingerprint: &[f64],
-    seed: u64,
-) -> Vec<f64> {
-    let [least, most] = FINGERPRINT_RANGE;
-    let lower = [&LOWER[..], &[least; FINGERPRINT]].concat();
-    let upper = [&UPPER[..], &[most; FINGERPRINT]].concat();
-    let settings = BayRnSettings { initial_points: 1, ..BayRnSettings::default() };
-    let process = BayRn::between(&lower, &upper, settings, seed).and_then(|it| it.surrogate(data));
-    let Ok(process) = process else { return choices[0].clone() };
-    let bound = |psi: &Vec<f64>| {
-        let posterior = process.posterior(&[&psi[..], fingerprint].concat());
-        posterior.mean + BETA * posterior.deviation()
-    };
-    let bounds = choices.iter().map(|psi| (bound(psi), psi));
-    bounds.max_by(|a, b| a.0.total_cmp(&b.0)).map_or_else(|| choices[0].clone(), |it| it.1.clone())
+impl FingerprintOptimisation {
+    /// The choice with the highest upper confidence bound of the return after the next stage, for a
+    /// policy with this fingerprint; the first choice where the data cannot be fitted.
+    fn highest_ucb(
+        &self,
+        data: &[Observation],
+        choices: &[Vec<f64>],
+        fingerprint: &[f64],
+        seed: u64,
+    ) -> Vec<f64> {
+        let [least, most] = FINGERPRINT_RANGE;
+        let lower = [&LOWER[..], &[least; FINGERPRINT]].concat();
+        let upper = [&UPPER[..], &[most; FINGERPRINT]].concat();
+        let settings = BayRnSettings { initial_points: 1, ..BayRnSettings::default() };
+        let process =
+            BayRn::between(&lower, &upper, settings, seed).and_then(|it| it.surrogate(data));
+        let Ok(process) = process else { return choices[0].clone() };
+        let bound = |psi: &Vec<f64>| {
+            let posterior = process.posterior(&[&psi[..], fingerprint].concat());
+            posterior.mean + self.beta * posterior.deviation()
+        };
+        let bounds = choices.iter().map(|psi| (bound(psi), psi));
+        bounds
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+            .map_or_else(|| choices[0].clone(), |it| it.1.clone())
+    }
 }
 
 /// The fingerprint of a policy, numbers that tell policies apart by their behaviour: mean and
@@ -178,8 +184,9 @@ mod tests {
         }
         let choices: Vec<Vec<f64>> =
             (0..40).map(|it| vec![-1.45 + 0.045 * f64::from(it), 0.0, 0.0, 0.0]).collect();
+        let rival = FingerprintOptimisation { beta: 2.0 };
         for fingerprint in [-1.6, -0.6, 0.4] {
-            let chosen = highest_ucb(&data, &choices, &[fingerprint, 0.0, 0.0, 0.0], 1);
+            let chosen = rival.highest_ucb(&data, &choices, &[fingerprint, 0.0, 0.0, 0.0], 1);
             assert!((chosen[0] - 0.5 * fingerprint).abs() < 0.3, "{fingerprint}: {chosen:?}");
         }
     }

@@ -7,6 +7,7 @@ use super::history::LongHistory;
 use super::lsdr::Lsdr;
 use super::npdr::Npdr;
 use super::rival::{Data, Rival};
+use super::settings::RivalSettings;
 use super::simopt::SimOpt;
 
 /// A method from the literature, chosen by its name.
@@ -75,19 +76,21 @@ impl RivalKind {
     /// Returns whether the rival takes no real rollout.
     #[must_use]
     pub fn needs_no_rollouts(self) -> bool {
-        self.rival().data() == Data::None
+        self.rival(&RivalSettings::default()).data() == Data::None
     }
 
-    pub(super) fn rival(self) -> Box<dyn Rival> {
+    pub(super) fn rival(self, settings: &RivalSettings) -> Box<dyn Rival> {
         match self {
-            Self::SimOpt => Box::new(SimOpt),
-            Self::BayesSim => Box::new(BayesSim),
-            Self::Dropo => Box::new(Dropo::default()),
-            Self::EpOpt => Box::new(EpOpt),
-            Self::Npdr => Box::new(Npdr),
-            Self::Lsdr => Box::new(Lsdr),
-            Self::Fpo => Box::new(FingerprintOptimisation),
-            Self::Adr => Box::new(ActiveRandomisation),
+            Self::SimOpt => Box::new(SimOpt { divergence: settings.simopt_divergence }),
+            Self::BayesSim => {
+                Box::new(BayesSim { components: settings.bayessim_components as usize })
+            }
+            Self::Dropo => Box::new(Dropo::with_noise(settings.dropo_noise)),
+            Self::EpOpt => Box::new(EpOpt { worst_share: settings.epopt_worst_share }),
+            Self::Npdr => Box::new(Npdr { widening: settings.npdr_widening }),
+            Self::Lsdr => Box::new(Lsdr { weight: settings.lsdr_weight }),
+            Self::Fpo => Box::new(FingerprintOptimisation { beta: settings.fpo_beta }),
+            Self::Adr => Box::new(ActiveRandomisation { temperature: settings.adr_temperature }),
             Self::History => Box::new(LongHistory),
         }
     }

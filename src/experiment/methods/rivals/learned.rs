@@ -42,7 +42,8 @@ impl<'a> FromRival<'a> {
     pub fn new(run: &'a MethodRun<'a>, settings: &'a MethodSettings, kind: RivalKind) -> Self {
         let recordings = MethodRecordings::of(run);
         let space = Space::of_unknown(run.recipe.settings.plant());
-        Self { run, settings, kind, rival: kind.rival(), recordings, complete: 0, space }
+        let rival = kind.rival(&settings.rivals);
+        Self { run, settings, kind, rival, recordings, complete: 0, space }
     }
 
     /// Seed of the belief and the recommendation after `recordings` recordings.

@@ -17,13 +17,19 @@ const SAMPLES: usize = 256;
 /// Standard deviation of the first distribution, relative to the prior's.
 const FIRST_WIDTH: f64 = 0.3;
 
-/// The trade-off of each step; standard deviations are relative to the prior's.
-const TRADE_OFF: TradeOff = TradeOff { weight: 0.02, widest: 1.5, rate: 1.0 };
+/// Standard deviation of the widest distribution, relative to the prior's.
+const WIDEST: f64 = 1.5;
+
+/// Rate of each step.
+const RATE: f64 = 1.0;
 
 /// Learnt domain randomisation (LSDR, Mozifian et al. 2019, reference 11 of the thesis): widens the
 /// distribution of simulations as far as the policy earns a high return in it, without any real
 /// rollout.
-pub struct Lsdr;
+pub struct Lsdr {
+    /// Weight of the divergence from the widest distribution.
+    pub weight: f64,
+}
 
 impl Rival for Lsdr {
     fn data(&self) -> Data {
@@ -31,6 +37,7 @@ impl Rival for Lsdr {
     }
 
     fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
+        let trade_off = TradeOff { weight: self.weight, widest: WIDEST, rate: RATE };
         let mut random = given.random();
         let mut own = Independent::narrowed(given.space.dimensions(), FIRST_WIDTH);
         let settings = given.training_on_one_thread();
@@ -43,7 +50,7 @@ impl Rival for Lsdr {
                 let points = own.draws(SAMPLES, &mut random);
                 let seed = given.seed.wrapping_add(1 + stage * STEPS + step);
                 let (points, scores) = scored(&network, given.training, given.space, &points, seed);
-                own = own.ascended(&points, &scores, TRADE_OFF);
+                own = own.ascended(&points, &scores, trade_off);
             }
         }
         Ok(RivalBelief::Gaussian(own.gaussian()))

@@ -7,9 +7,6 @@ use super::gaussian::standard_normal;
 /// Number of neurons of each of the two hidden layers.
 const HIDDEN: usize = 48;
 
-/// Number of components of the mixture.
-const COMPONENTS: usize = 4;
-
 /// Number of samples of a gradient step.
 const BATCH: usize = 64;
 
@@ -32,6 +29,15 @@ pub struct MixtureDensity {
     centre: DVector<f64>,
     scale: DVector<f64>,
     dimensions: usize,
+}
+
+/// The extent of a fit.
+#[derive(Clone, Copy, Debug)]
+pub struct Fit {
+    /// Number of components of the mixture.
+    pub components: usize,
+    /// Number of passes over the samples.
+    pub passes: usize,
 }
 
 /// A mixture of normal distributions.
@@ -68,13 +74,13 @@ impl MixtureDensity {
         features: &[DVector<f64>],
         targets: &[DVector<f64>],
         weights: &[f64],
-        passes: usize,
+        Fit { components, passes }: Fit,
         seed: u64,
     ) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let dimensions = targets.first().map_or(0, DVector::len);
         let (centre, scale) = standardisation(features);
-        let outputs = COMPONENTS * outputs_of_component(dimensions);
+        let outputs = components * outputs_of_component(dimensions);
         let layers = [
             Layer::random(centre.len(), HIDDEN, 1.0, &mut random),
             Layer::random(HIDDEN, HIDDEN, 1.0, &mut random),
@@ -82,7 +88,7 @@ impl MixtureDensity {
         ];
         let mut network = Self { layers, centre, scale, dimensions };
         // Components with equal means would all learn the same.
-        for component in 0..COMPONENTS {
+        for component in 0..components {
             let first = component * outputs_of_component(dimensions) + 1;
             for entry in 0..dimensions {
                 network.layers[2].bias[first + entry] = 0.5 * standard_normal(1, &mut random)[0];
@@ -347,6 +353,10 @@ mod tests {
     use super::*;
     use crate::experiment::methods::rivals::gaussian::Gaussian;
 
+    fn fit_of(passes: usize) -> Fit {
+        Fit { components: 4, passes }
+    }
+
     fn vector(entries: &[f64]) -> DVector<f64> {
         DVector::from_column_slice(entries)
     }
@@ -356,7 +366,7 @@ mod tests {
         let inputs = [vector(&[0.3, -1.0]), vector(&[1.2, 0.4])];
         let targets = [vector(&[0.5, 0.1]), vector(&[-0.7, 1.3])];
         let weights = [1.0, 0.4];
-        let mut network = MixtureDensity::fit(&inputs, &targets, &weights, 2, 1);
+        let mut network = MixtureDensity::fit(&inputs, &targets, &weights, fit_of(2), 1);
         let loss = |network: &MixtureDensity| {
             let of = |sample: usize| {
                 -weights[sample] * network.mixture(&inputs[sample]).log_density(&targets[sample])
@@ -382,7 +392,7 @@ mod tests {
         let (inputs, targets) =
             ([vector(&[0.3]), vector(&[-1.2])], [vector(&[0.5]), vector(&[-0.7])]);
         let density = |passes| {
-            let network = MixtureDensity::fit(&inputs, &targets, &[1.0; 2], passes, 1);
+            let network = MixtureDensity::fit(&inputs, &targets, &[1.0; 2], fit_of(passes), 1);
             network.given(&inputs[0]).log_density(&targets[0])
         };
         assert!(density(200) > density(1) + 0.5, "{} {}", density(200), density(1));
@@ -399,7 +409,7 @@ mod tests {
             .iter()
             .map(|it| vector(&[it.sum() + noise * standard_normal(1, &mut random)[0]]))
             .collect();
-        let network = MixtureDensity::fit(&features, &targets, &vec![1.0; 4000], 40, 2);
+        let network = MixtureDensity::fit(&features, &targets, &vec![1.0; 4000], fit_of(40), 2);
         let draws = network.given(&vector(&[1.0])).draws(4000, &mut random);
         let found = Gaussian::of_points(&draws, &vec![1.0; draws.len()]);
         // Gain 1 / (2 + noise^2) for each; covariance I minus the gain.
@@ -420,7 +430,7 @@ mod tests {
             .iter()
             .map(|it| vector(&[it[0] * it[0] + 0.1 * standard_normal(1, &mut random)[0]]))
             .collect();
-        let network = MixtureDensity::fit(&features, &targets, &vec![1.0; 3000], 60, 3);
+        let network = MixtureDensity::fit(&features, &targets, &vec![1.0; 3000], fit_of(60), 3);
         let draws = network.given(&vector(&[1.0])).draws(1000, &mut random);
         let share = |lower: f64, upper: f64| {
             draws.iter().filter(|it| (lower..upper).contains(&it[0])).count() as f64 / 1000.0

@@ -34,6 +34,7 @@ mod offline_likelihood;
 mod relative_entropy;
 mod rival;
 mod scored;
+mod settings;
 mod simopt;
 mod simulator;
 mod space;
@@ -47,4 +48,5 @@ mod universal;
 
 pub use kind::RivalKind;
 pub(super) use learned::FromRival;
+pub use settings::RivalSettings;
 pub(super) use universal::FromUniversalPolicy;

@@ -3,7 +3,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::belief::RivalBelief;
 use super::gaussian::Gaussian;
-use super::mixture_density::MixtureDensity;
+use super::mixture_density::{Fit, MixtureDensity};
 use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::{SampledMotion, simulate};
 use super::space::Space;
@@ -19,8 +19,8 @@ const PASSES: usize = 60;
 /// Largest number of recordings whose statistics the posterior is given.
 const LATEST: usize = 3;
 
-/// Factor on the covariance of the previous belief, from which Qubes are proposed.
-const WIDENED: f64 = 2.0;
+/// Number of components of the mixture.
+const COMPONENTS: usize = 4;
 
 /// Largest number of draws from the proposal for each point within the ranges. A belief at several
 /// ends of the ranges has about half of its draws beyond each.
@@ -29,7 +29,10 @@ const TRIES: usize = 1000;
 /// Sequential neural posterior estimation as in NPDR (Muratore et al., CoRL 2021): a network learns
 /// the posterior of a Qube given the latest rollouts, from simulations of Qubes. At most half of
 /// these Qubes are drawn from the previous belief, widened, and the others from the prior.
-pub struct Npdr;
+pub struct Npdr {
+    /// Factor on the covariance of the previous belief, from which Qubes are proposed.
+    pub widening: f64,
+}
 
 impl Rival for Npdr {
     fn data(&self) -> Data {
@@ -45,7 +48,7 @@ impl Rival for Npdr {
             return Ok(given.before.clone());
         }
         let mut proposal = given.before.gaussian(given.space);
-        proposal.covariance *= WIDENED;
+        proposal.covariance *= self.widening;
         let proposed = Proposed::draw(given.space, &proposal, SAMPLES / 2, &mut random);
         // Half of the Qubes or more come from the prior, so that no weight exceeds 2.
         let mut targets = given.space.draws(SAMPLES - proposed.points.len(), &mut random);
@@ -63,7 +66,8 @@ impl Rival for Npdr {
             }
         }
         let inputs: Vec<_> = inputs.into_iter().map(DVector::from_vec).collect();
-        let network = MixtureDensity::fit(&inputs, &targets, &weights, PASSES, given.seed);
+        let shape = Fit { components: COMPONENTS, passes: PASSES };
+        let network = MixtureDensity::fit(&inputs, &targets, &weights, shape, given.seed);
         let points = network.given(&DVector::from_vec(real)).draws(POINTS, &mut random);
         Ok(RivalBelief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
     }

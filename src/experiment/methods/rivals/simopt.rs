@@ -11,12 +11,12 @@ const STEPS: usize = 8;
 /// Number of Qubes of a step, in each of which every real rollout of the latest round is simulated.
 const SAMPLES: usize = 200;
 
-/// Largest divergence of a step from the distribution before it, nats.
-const BOUND: f64 = 1.0;
-
 /// SimOpt (Chebotar et al. 2019, reference 10 of the thesis): moves a normal distribution of
 /// simulations so that the policy's rollouts in them resemble its real ones.
-pub struct SimOpt;
+pub struct SimOpt {
+    /// Largest divergence of a step from the distribution before it, nats.
+    pub divergence: f64,
+}
 
 impl Rival for SimOpt {
     fn data(&self) -> Data {
@@ -45,7 +45,7 @@ impl Rival for SimOpt {
                     *cost += discrepancy(&real, motion);
                 }
             }
-            gaussian = bounded_update(&gaussian, &points, &costs, BOUND);
+            gaussian = bounded_update(&gaussian, &points, &costs, self.divergence);
         }
         Ok(RivalBelief::Gaussian(gaussian))
     }

@@ -7,13 +7,13 @@ use nalgebra::DVector;
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-use super::RivalKind;
 use super::belief::RivalBelief;
 use super::discrepancy::discrepancy;
 use super::dropo::Dropo;
 use super::rival::{Data, Rival, RivalInput};
 use super::simulator::{Demonstration, SampledMotion, simulate};
 use super::space::Space;
+use super::{RivalKind, RivalSettings};
 use crate::learning::TrainSettings;
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape, Network, Policy};
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, QubeModel, State};
@@ -114,8 +114,8 @@ fn every_rival_with_data_simulates_a_known_qube_better_than_before() {
     let learning = RivalKind::ALL.into_iter().filter(|kind| !kind.needs_no_rollouts());
     let rival = |kind: RivalKind| match kind {
         // A fifth of its evaluations, which take most of the time of this test.
-        RivalKind::Dropo => Box::new(Dropo { evaluations: 600 }),
-        _ => kind.rival(),
+        RivalKind::Dropo => Box::new(Dropo { evaluations: 600, noise: 1.0 }),
+        _ => kind.rival(&RivalSettings::default()),
     };
     let results: Vec<(&str, [f64; 2])> =
         learning.map(|kind| (kind.name(), learnt_by(&*rival(kind)))).collect();

@@ -64,10 +64,9 @@ impl<'a> FromUniversalPolicy<'a> {
         let (distribution, simulation) = (series.distribution()?, series.simulation());
         let training = recommendation.recipe.settings.training.clone();
         let settings = TrainSettings { threads: 1, simulation, ..training };
-        let space = &self.space;
-        let physics_of = |model: &QubeModel| -> Vec<f32> {
-            space.point(model).iter().map(|entry| *entry as f32).collect()
-        };
+        let (space, scale) = (&self.space, self.settings.rivals.so_cma_scale);
+        let physics_of =
+            |model: &QubeModel| -> Vec<f32> { inputs(space.point(model).as_slice(), scale) };
         let physics = PhysicsInputs { count: space.dimensions(), of: &physics_of };
         let train = |training: u32| {
             let seed = derived_seed(self.run.seed, SeedFor::Training { candidate: 0, training });
@@ -109,7 +108,7 @@ impl<'a> FromUniversalPolicy<'a> {
     /// Makes the recording of the next candidate.
     fn record(&self, recommendation: &Recommendation) -> Result<(), ExperimentError> {
         let number = self.candidates.count();
-        let inputs = inputs(&self.next_point()?);
+        let inputs = inputs(&self.next_point()?, self.settings.rivals.so_cma_scale);
         let trained = self.policy(recommendation)?.at(&inputs).map_err(JobError::from)?;
         let policy = trained.into_policy(origin_of(&recommendation.recipe)).to_bytes();
         self.recordings.make(number, Recorded::Policy { after: number }, &policy)
@@ -150,7 +149,8 @@ impl Recommendations for FromUniversalPolicy<'_> {
                 data => self.search()?.best(data)?.point,
             };
             let policy = self.policy(&recommendation)?;
-            series.keep(0, policy.at(&inputs(&best)).map_err(JobError::from)?)?;
+            let inputs = inputs(&best, self.settings.rivals.so_cma_scale);
+            series.keep(0, policy.at(&inputs).map_err(JobError::from)?)?;
         }
         Ok(Recommended::Found(Box::new(recommendation)))
     }
@@ -196,8 +196,9 @@ impl Candidates {
     }
 }
 
-fn inputs(point: &[f64]) -> Vec<f32> {
-    point.iter().map(|entry| *entry as f32).collect()
+/// The physics inputs of a policy for the Qube at a point of the space.
+fn inputs(point: &[f64], scale: f64) -> Vec<f32> {
+    point.iter().map(|entry| (scale * entry) as f32).collect()
 }
 
 fn origin_of(recipe: &Recipe) -> Origin {

@@ -1,0 +1,132 @@
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::experiment::ExperimentSettingError;
+
+/// One number of each method from the literature that a comparison can choose, for example by a
+/// search on other plants. The numbers of a method that are not here are constants of its file.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RivalSettings {
+    /// Largest divergence of a step of `simopt` from the distribution before it, nats, 0.01 to 10.
+    pub simopt_divergence: f64,
+    /// Number of components of the mixture of `bayessim`, 1 to 16.
+    pub bayessim_components: u32,
+    /// Factor on the noise of the next state in the likelihood of `dropo`, 0.1 to 10.
+    pub dropo_noise: f64,
+    /// Share of the trajectories that a policy of `epopt` learns from in the second half of its
+    /// training: those with the lowest returns; 0.01 to 1.
+    pub epopt_worst_share: f32,
+    /// Factor on the covariance of the belief from which `npdr` proposes Qubes, 1 to 10.
+    pub npdr_widening: f64,
+    /// Weight of the divergence from a wide distribution in `lsdr`, beside the return as a fraction
+    /// of the largest possible one; 0 to 1.
+    pub lsdr_weight: f64,
+    /// Weight of the standard deviation in the upper confidence bound of `fpo`, 0 to 10.
+    pub fpo_beta: f64,
+    /// Temperature of the reward of `adr`, 0.01 to 10: the lower, the more the particles follow the
+    /// reward rather than the prior.
+    pub adr_temperature: f64,
+    /// Factor on the physics inputs of the policy of `so-cma`, 0.01 to 1; with 1 the inputs are in
+    /// standard deviations of the prior.
+    pub so_cma_scale: f64,
+}
+
+impl Default for RivalSettings {
+    fn default() -> Self {
+        Self {
+            simopt_divergence: 1.0,
+            bayessim_components: 4,
+            dropo_noise: 1.0,
+            epopt_worst_share: 0.1,
+            npdr_widening: 2.0,
+            lsdr_weight: 0.02,
+            fpo_beta: 2.0,
+            adr_temperature: 0.3,
+            so_cma_scale: 1.0,
+        }
+    }
+}
+
+impl RivalSettings {
+    /// Returns whether every number is the default one.
+    pub fn are_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// The first number that is out of its range.
+    pub fn check(&self) -> Result<(), ExperimentSettingError> {
+        for (name, value, range) in [
+            ("rivals.simopt_divergence", self.simopt_divergence, [0.01, 10.0]),
+            ("rivals.bayessim_components", self.bayessim_components.into(), [1.0, 16.0]),
+            ("rivals.dropo_noise", self.dropo_noise, [0.1, 10.0]),
+            ("rivals.epopt_worst_share", self.epopt_worst_share.into(), [0.01, 1.0]),
+            ("rivals.npdr_widening", self.npdr_widening, [1.0, 10.0]),
+            ("rivals.lsdr_weight", self.lsdr_weight, [0.0, 1.0]),
+            ("rivals.fpo_beta", self.fpo_beta, [0.0, 10.0]),
+            ("rivals.adr_temperature", self.adr_temperature, [0.01, 10.0]),
+            ("rivals.so_cma_scale", self.so_cma_scale, [0.01, 1.0]),
+        ] {
+            ExperimentSettingError::in_range(name, value, range)?;
+        }
+        Ok(())
+    }
+}
+
+/// Parses `name=value`, separated by commas; a number that is not named is the default one.
+impl FromStr for RivalSettings {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let lines: String = text.split(',').flat_map(|pair| [pair, "\n"]).collect();
+        toml::from_str(&lines).map_err(|error| error.message().to_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn named_numbers_are_read_and_the_others_stay() {
+        let read: RivalSettings = "fpo_beta=1.5,bayessim_components=8".parse().unwrap();
+        let expected =
+            RivalSettings { fpo_beta: 1.5, bayessim_components: 8, ..RivalSettings::default() };
+        assert_eq!(read, expected);
+        assert!(!read.are_default() && RivalSettings::default().are_default());
+        for (text, words) in [
+            ("fpo=1", "unknown field `fpo`"),
+            ("fpo_beta", "expected"),
+            ("fpo_beta=1,fpo_beta=2", "duplicate"),
+            ("bayessim_components=1.5", "invalid type"),
+        ] {
+            let refused = text.parse::<RivalSettings>().unwrap_err();
+            assert!(refused.contains(words), "{refused}");
+        }
+    }
+
+    #[test]
+    fn each_number_has_a_range() {
+        assert!(RivalSettings::default().check().is_ok());
+        for text in [
+            "simopt_divergence=0.0",
+            "bayessim_components=0",
+            "dropo_noise=11.0",
+            "epopt_worst_share=0.0",
+            "npdr_widening=0.9",
+            "lsdr_weight=nan",
+            "fpo_beta=-1.0",
+            "adr_temperature=0.0",
+            "so_cma_scale=2.0",
+        ] {
+            let settings: RivalSettings = text.parse().unwrap();
+            let refused = settings.check().unwrap_err().to_string();
+            let name = text.split('=').next().unwrap();
+            assert!(refused.contains(name), "{refused}");
+        }
+    }
+}
