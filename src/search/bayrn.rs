@@ -210,6 +210,27 @@ impl Strategy for BayRn {
             best_evaluated_return: evaluated[best_evaluated],
         })
     }
+
+    fn expected_improvement(
+        &self,
+        data: &[Observation],
+        known: Option<f64>,
+    ) -> Result<Option<f64>, SearchError> {
+        if data.is_empty() {
+            return Err(SearchError::NothingEvaluated);
+        }
+        let process = self.surrogate(data)?;
+        let index = data.len();
+        let acquisition: Box<dyn Acquisition + '_> = match known {
+            Some(incumbent) => Box::new(on(&process, LogExpectedImprovement { incumbent })),
+            None => {
+                let seed = self.seed.wrapping_add(index as u64);
+                Box::new(LogNoisyExpectedImprovement::new(&process, &[], seed)?)
+            }
+        };
+        let point = self.maximise(&*acquisition, &means_at_data(&process), index);
+        Ok(Some(acquisition.value(&point).exp()))
+    }
 }
 
 #[cfg(test)]
@@ -308,6 +329,23 @@ mod tests {
         assert_eq!(batch.len(), 3);
         // Without data the surrogate cannot be fitted.
         assert_eq!(search.propose(&[], &[], 8).unwrap()[7], search.initial_point(7));
+    }
+
+    #[test]
+    fn the_expected_improvement_is_large_at_first_and_small_where_the_hump_is_known() {
+        let mut search = BayRn::new(search_box(), settings(AcquisitionKind::default()), 3).unwrap();
+        let few = evaluated(&mut search, Vec::new(), 5);
+        let many = evaluated(&mut search, few.clone(), 25);
+        let gain = |data: &[Observation], known| {
+            search.expected_improvement(data, known).unwrap().unwrap()
+        };
+        assert!(gain(&few, None) > 5.0, "{}", gain(&few, None));
+        assert!((0.0..2.0).contains(&gain(&many, None)), "{}", gain(&many, None));
+        // The hump is 500 high.
+        let over = gain(&many, Some(400.0));
+        assert!((over - 100.0).abs() < 20.0, "{over}");
+        assert!(gain(&many, Some(600.0)) < 1.0);
+        assert_eq!(search.expected_improvement(&[], None), Err(SearchError::NothingEvaluated));
     }
 
     #[test]

@@ -52,8 +52,8 @@ impl std::fmt::Display for SearchEnd {
         match self {
             Self::Verified => write!(
                 formatter,
-                "a policy succeeded quietly in all its verifying rollouts, and by a heuristic estimate one more \
-                 candidate would gain less than {} %",
+                "a policy succeeded quietly in all its verifying rollouts, and one more candidate is estimated to \
+                 gain less than {} %",
                 100.0 * WORTHWHILE_GAIN
             ),
             Self::Candidates(1) => formatter.write_str("its only candidate has run"),
@@ -64,18 +64,17 @@ impl std::fmt::Display for SearchEnd {
     }
 }
 
-/// The source of the estimated gain in return of one more candidate of a search around an
-/// identified Qube. The estimate is a difference of mean returns, not an expected improvement.
+/// The source of the gain in return that is expected from one more candidate of a search around an
+/// identified Qube.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GainSource {
-    /// The surrogate of the return over psi: its largest mean minus its mean at the best evaluated
-    /// psi.
+    /// The surrogate of the return over psi: its largest expected improvement.
     Surrogate {
         /// Number of candidates to whose returns the surrogate is fitted.
         candidates: usize,
     },
     /// Simulations of the identified Qube, before there are enough candidates for a surrogate: the
-    /// largest simulated return of a policy minus the verified return.
+    /// largest simulated return of a policy minus the verified return, a difference of means.
     Simulations,
 }
 
@@ -98,12 +97,12 @@ impl GainSource {
         let is_none = gain < 0.05;
         match self {
             Self::Surrogate { candidates } if is_none => format!(
-                "by the surrogate, which is fitted to {candidates} candidates, no other psi has a higher expected \
-                 return than the best so far"
+                "by the surrogate, which is fitted to {candidates} candidates, one more candidate is expected to gain \
+                 nothing over the best so far"
             ),
             Self::Surrogate { candidates } => format!(
-                "by the surrogate, which is fitted to {candidates} candidates, the best psi not yet tried has an expected \
-                 return {gain:.1} higher than the best so far"
+                "by the surrogate, which is fitted to {candidates} candidates, one more candidate is expected to gain \
+                 {gain:.1} over the best so far"
             ),
             Self::Simulations if is_none => {
                 "in simulations of the identified Qube, no policy earns more than the \
@@ -225,7 +224,7 @@ mod tests {
         let source = GainSource::of(&candidates);
         assert_eq!(source, GainSource::Surrogate { candidates: 3 });
         assert!(source.words(3.0).contains("fitted to 3 candidates"), "{}", source.words(3.0));
-        assert!(source.words(0.01).contains("no other psi has a higher"), "{}", source.words(0.01));
+        assert!(source.words(0.01).contains("to gain nothing over"), "{}", source.words(0.01));
     }
 
     #[test]

@@ -256,17 +256,15 @@ impl Session {
         self.append_proposal(Proposal::of(purpose, psi), on_event)
     }
 
-    /// An estimate of the return that one more candidate gains over the policy of this
-    /// verification, at least 0: a difference of mean returns by which the search decides whether
-    /// to go on.
+    /// The return that one more candidate is expected to gain, at least 0, by which the search
+    /// decides whether to go on.
     ///
-    /// It is a heuristic and no expected improvement, because it ignores how uncertain these means
-    /// are. Once there are [`INITIAL_AROUND`] observations, it is the surrogate's mean at the
-    /// recommended psi minus its mean at the best evaluated psi, or minus the verified return if
-    /// the verified policy was trained without psi. Before, it is the highest mean return of a
-    /// candidate's policy in simulations of the identified Qube minus the verified return. This
-    /// assumes that another candidate may regain the loss from simulation to reality; a policy
-    /// that no candidate has found yet may gain more.
+    /// Once there are [`INITIAL_AROUND`] observations, it is the surrogate's largest expected
+    /// improvement: over the best of the evaluated psi, or over the verified return if the verified
+    /// policy was trained without psi. Before, it is a difference of means, which ignores how
+    /// uncertain these are: the highest mean return of a candidate's policy in simulations of the
+    /// identified Qube minus the verified return. This assumes that another candidate may regain
+    /// the loss from simulation to reality; a policy that no candidate has found yet may gain more.
     fn expected_gain(
         &mut self,
         scored: &[ScoredCandidate],
@@ -275,12 +273,10 @@ impl Session {
         let verified = verification.and_then(ScoredCandidate::mean_return).unwrap_or(0.0);
         let observations = self.observations()?;
         if observations.len() as u32 >= INITIAL_AROUND {
-            let best = self.settings.search()?.best(&observations)?;
-            let surpassed = match verification {
-                Some(verification) if verification.model_without_psi.is_some() => verified,
-                _ => best.best_evaluated_return,
-            };
-            return Ok((best.expected_return - surpassed).max(0.0));
+            let is_without_psi = verification.is_some_and(|it| it.model_without_psi.is_some());
+            let known = is_without_psi.then_some(verified);
+            let search = self.settings.search()?;
+            return Ok(search.expected_improvement(&observations, known)?.unwrap_or(0.0));
         }
         let mut simulated = 0.0_f64;
         for it in scored.iter().filter(|it| it.candidate.purpose.is_searched()) {
