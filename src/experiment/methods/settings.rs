@@ -35,7 +35,7 @@ pub struct MethodSettings {
     #[serde(default)]
     pub seeds: RepetitionSeeds,
     /// Numbers of the methods from the literature.
-    #[serde(default, skip_serializing_if = "RivalSettings::are_default")]
+    #[serde(default = "RivalSettings::constants_of_earlier_versions")]
     pub rivals: RivalSettings,
 }
 

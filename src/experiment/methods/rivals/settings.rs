@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::experiment::ExperimentSettingError;
 
-/// One number of each method from the literature that a comparison can choose, for example by a
-/// search on other plants. The numbers of a method that are not here are constants of its file.
+/// One number of each method from the literature that a comparison can choose. The other numbers of
+/// a method are constants of its file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RivalSettings {
@@ -33,8 +33,26 @@ pub struct RivalSettings {
     pub so_cma_scale: f64,
 }
 
+/// The numbers that were best on the Qubes of scripts/comparison/tuning.toml (docs/rivals.md).
 impl Default for RivalSettings {
     fn default() -> Self {
+        Self {
+            simopt_divergence: 0.3,
+            bayessim_components: 1,
+            dropo_noise: 2.0,
+            epopt_worst_share: 0.05,
+            npdr_widening: 1.0,
+            lsdr_weight: 0.005,
+            so_cma_scale: 0.3,
+            ..Self::constants_of_earlier_versions()
+        }
+    }
+}
+
+impl RivalSettings {
+    /// The numbers of an experiment whose file has none, because a version began it in which they
+    /// were constants.
+    pub fn constants_of_earlier_versions() -> Self {
         Self {
             simopt_divergence: 1.0,
             bayessim_components: 4,
@@ -46,13 +64,6 @@ impl Default for RivalSettings {
             adr_temperature: 0.3,
             so_cma_scale: 1.0,
         }
-    }
-}
-
-impl RivalSettings {
-    /// Returns whether every number is the default one.
-    pub fn are_default(&self) -> bool {
-        *self == Self::default()
     }
 
     /// Checks the settings.
@@ -90,6 +101,7 @@ impl FromStr for RivalSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::MethodSettings;
 
     #[test]
     fn named_numbers_are_read_and_the_others_stay() {
@@ -97,7 +109,6 @@ mod tests {
         let expected =
             RivalSettings { fpo_beta: 1.5, bayessim_components: 8, ..RivalSettings::default() };
         assert_eq!(read, expected);
-        assert!(!read.are_default() && RivalSettings::default().are_default());
         for (text, words) in [
             ("fpo=1", "unknown field `fpo`"),
             ("fpo_beta", "expected"),
@@ -107,6 +118,16 @@ mod tests {
             let refused = text.parse::<RivalSettings>().unwrap_err();
             assert!(refused.contains(words), "{refused}");
         }
+    }
+
+    #[test]
+    fn an_experiment_of_an_earlier_version_keeps_its_numbers() {
+        let file =
+            "methods = [\"simopt\"]\nrepetitions = 1\nrecordings = 6\nspread = 0.1\nbudgets = [2]";
+        let settings: MethodSettings = toml::from_str(file).unwrap();
+        assert_eq!(settings.rivals.simopt_divergence, 1.0);
+        assert_eq!(settings.rivals, RivalSettings::constants_of_earlier_versions());
+        assert_ne!(settings.rivals, RivalSettings::default());
     }
 
     #[test]

@@ -112,10 +112,13 @@ fn learnt_by(rival: &dyn Rival) -> [f64; 2] {
 #[test]
 fn every_rival_with_data_simulates_a_known_qube_better_than_before() {
     let learning = RivalKind::ALL.into_iter().filter(|kind| !kind.needs_no_rollouts());
+    let settings = RivalSettings::default();
     let rival = |kind: RivalKind| match kind {
         // A fifth of its evaluations, which take most of the time of this test.
-        RivalKind::Dropo => Box::new(Dropo { evaluations: 600, noise: 1.0 }),
-        _ => kind.rival(&RivalSettings::default()),
+        RivalKind::Dropo => {
+            Box::new(Dropo { evaluations: 600, ..Dropo::with_noise(settings.dropo_noise) })
+        }
+        _ => kind.rival(&settings),
     };
     let results: Vec<(&str, [f64; 2])> =
         learning.map(|kind| (kind.name(), learnt_by(&*rival(kind)))).collect();
