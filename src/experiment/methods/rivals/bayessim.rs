@@ -48,8 +48,8 @@ impl Rival for BayesSim {
         }
         let inputs: Vec<_> = simulated.iter().map(|own| features(own, shortest)).collect();
         let weights = vec![1.0; SAMPLES];
-        let shape = Fit { components: self.components, passes: PASSES };
-        let network = MixtureDensity::fit(&inputs, &targets, &weights, shape, given.seed);
+        let extent = Fit { components: self.components, passes: PASSES };
+        let network = MixtureDensity::fit(&inputs, &targets, &weights, extent, given.seed);
         let posterior = network.given(&features(&real, shortest));
         let points = posterior.draws(POINTS, &mut random);
         Ok(RivalBelief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))

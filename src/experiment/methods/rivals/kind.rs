@@ -86,7 +86,7 @@ impl RivalKind {
                 Box::new(BayesSim { components: settings.bayessim_components as usize })
             }
             Self::Dropo => Box::new(Dropo::with_noise(settings.dropo_noise)),
-            Self::EpOpt => Box::new(EpOpt { worst_share: settings.epopt_worst_share }),
+            Self::EpOpt => Box::new(EpOpt { worst_share: settings.epopt_worst_share as f32 }),
             Self::Npdr => Box::new(Npdr { widening: settings.npdr_widening }),
             Self::Lsdr => Box::new(Lsdr { weight: settings.lsdr_weight }),
             Self::Fpo => Box::new(FingerprintOptimisation { beta: settings.fpo_beta }),

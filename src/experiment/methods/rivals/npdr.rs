@@ -66,8 +66,8 @@ impl Rival for Npdr {
             }
         }
         let inputs: Vec<_> = inputs.into_iter().map(DVector::from_vec).collect();
-        let shape = Fit { components: COMPONENTS, passes: PASSES };
-        let network = MixtureDensity::fit(&inputs, &targets, &weights, shape, given.seed);
+        let extent = Fit { components: COMPONENTS, passes: PASSES };
+        let network = MixtureDensity::fit(&inputs, &targets, &weights, extent, given.seed);
         let points = network.given(&DVector::from_vec(real)).draws(POINTS, &mut random);
         Ok(RivalBelief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
     }

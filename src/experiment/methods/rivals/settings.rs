@@ -17,7 +17,7 @@ pub struct RivalSettings {
     pub dropo_noise: f64,
     /// Share of the trajectories that a policy of `epopt` learns from in the second half of its
     /// training: those with the lowest returns; 0.01 to 1.
-    pub epopt_worst_share: f32,
+    pub epopt_worst_share: f64,
     /// Factor on the covariance of the belief from which `npdr` proposes Qubes, 1 to 10.
     pub npdr_widening: f64,
     /// Weight of the divergence from a wide distribution in `lsdr`, beside the return as a fraction
@@ -75,7 +75,7 @@ impl RivalSettings {
             ("rivals.simopt_divergence", self.simopt_divergence, [0.01, 10.0]),
             ("rivals.bayessim_components", self.bayessim_components.into(), [1.0, 16.0]),
             ("rivals.dropo_noise", self.dropo_noise, [0.1, 10.0]),
-            ("rivals.epopt_worst_share", self.epopt_worst_share.into(), [0.01, 1.0]),
+            ("rivals.epopt_worst_share", self.epopt_worst_share, [0.01, 1.0]),
             ("rivals.npdr_widening", self.npdr_widening, [1.0, 10.0]),
             ("rivals.lsdr_weight", self.lsdr_weight, [0.0, 1.0]),
             ("rivals.fpo_beta", self.fpo_beta, [0.0, 10.0]),
