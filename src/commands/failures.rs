@@ -257,6 +257,7 @@ fn ended_session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::Policy(error) => policy(&error),
         SessionError::ProfileLost { .. }
         | SessionError::BeginningLost { .. }
+        | SessionError::PolicyLost { .. }
         | SessionError::PolicyChanged { .. }
         | SessionError::RecordingMisplaced { .. } => Failure::data_lost(error),
         SessionError::Psi(_)

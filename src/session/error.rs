@@ -108,6 +108,17 @@ pub enum SessionError {
         /// Defect of the file.
         reason: String,
     },
+    /// The policy file of a trained candidate is missing or damaged.
+    #[error(
+        "{path}: the policy of a trained candidate is lost: {reason}. Restore it from a backup; a recording beside it \
+         contains the policy that made it"
+    )]
+    PolicyLost {
+        /// Path of the policy.
+        path: PathBuf,
+        /// Defect of the file.
+        reason: String,
+    },
     /// The policy file of a candidate holds another policy than the candidate's recordings.
     #[error(
         "{path}: this is not the policy that made the candidate's rollouts: it was changed. Restore it from a backup; \

@@ -351,6 +351,30 @@ fn a_policy_that_was_exchanged_is_data_lost() {
 }
 
 #[test]
+fn a_policy_that_is_lost_is_reported_before_the_session_goes_on() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
+    let ledger = directory.path().join("mine/ledger.jsonl");
+    let entries = std::fs::read_to_string(&ledger).unwrap();
+    let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 4).collect();
+    std::fs::write(&ledger, &earlier).unwrap();
+    let policy = directory.path().join("mine/candidates/001/policy.safetensors");
+    let whole = std::fs::read(&policy).unwrap();
+    for damaged in [Some(&whole[..whole.len() / 2]), None] {
+        match damaged {
+            Some(bytes) => std::fs::write(&policy, bytes).unwrap(),
+            None => std::fs::remove_file(&policy).unwrap(),
+        }
+        let (code, told) = resume(directory.path(), "mine");
+        assert_eq!(code, Some(3), "{told}");
+        assert!(told.contains("001/policy.safetensors: the policy of a trained"), "{told}");
+        assert_eq!(std::fs::read_to_string(&ledger).unwrap(), earlier);
+    }
+    std::fs::write(&policy, whole).unwrap();
+    assert_eq!(resume(directory.path(), "mine").0, Some(0));
+}
+
+#[test]
 fn a_recording_in_the_place_of_another_is_not_counted_twice() {
     let directory = tempfile::tempdir().unwrap();
     assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());

@@ -228,9 +228,10 @@ impl Session {
         self.ended_by = None;
         self.ledger.check_rigs(self.rigs.len() as u32)?;
         self.pass_doubt_to_rig(on_event)?;
-        // Reads every recording before anything moves or is trained, because the search needs every
-        // return.
+        // Reads every recording and policy before anything moves or is trained, because the search
+        // needs every return.
         self.scored_candidates()?;
+        self.check_policies()?;
         self.prepare_trainings()?;
         self.connect_early(on_event)?;
         while goes_on(self.ledger.state()) {

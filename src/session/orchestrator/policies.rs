@@ -7,7 +7,7 @@ use super::Session;
 use super::early_training::{EarlyKind, EarlyTraining};
 use super::training::Trainer;
 use super::training_ahead::TrainingAhead;
-use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy, PolicyError};
+use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy};
 use crate::rig::ClockChoice;
 use crate::session::{
     Candidate, Entry, Purpose, SessionError, SessionEvent, SessionSettings, Step, trains_ahead,
@@ -132,13 +132,19 @@ impl Session {
     /// Reads and checks the policy of a candidate; returns it in the format of its file.
     pub(super) fn policy(&self, candidate: u32) -> Result<Vec<u8>, SessionError> {
         let path = self.policy_path(candidate);
-        let bytes = self
-            .folder
-            .disk()
-            .read(&path, MAX_POLICY_BYTES)
-            .map_err(|source| PolicyError::Unreadable { path: path.clone(), source })?;
-        let policy =
-            Policy::from_bytes(&bytes).map_err(|fault| PolicyError::Bad { path, fault })?;
-        Ok(policy.to_bytes())
+        let lost = |reason: String| SessionError::PolicyLost { path: path.clone(), reason };
+        let bytes = self.folder.disk().read(&path, MAX_POLICY_BYTES);
+        let policy = Policy::from_bytes(&bytes.map_err(|error| lost(error.to_string()))?);
+        Ok(policy.map_err(|fault| lost(fault.to_string()))?.to_bytes())
+    }
+
+    /// Checks the policies of all trained candidates, each of which may drive the Qube again. Does
+    /// nothing if the session is complete.
+    pub(super) fn check_policies(&self) -> Result<(), SessionError> {
+        if self.next_step() == Step::Done {
+            return Ok(());
+        }
+        let candidates = self.ledger.state().candidates().iter();
+        candidates.filter(|it| it.trained).try_for_each(|it| self.policy(it.number).map(drop))
     }
 }
