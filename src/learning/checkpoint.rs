@@ -12,11 +12,15 @@ use super::network::Network;
 use super::optimise::Learner;
 use super::state::TrainingState;
 use super::{TrainError, TrainSettings};
-use crate::storage::{MachineDisk, read_bounded, write_whole};
+use crate::storage::{MachineDisk, checksum_of, read_bounded, write_whole};
 
 /// Largest checkpoint that is read, bytes. A training with the thesis's settings writes about 150
 /// kB, a training of a million updates 104 MB, nearly all of it the learning curve.
 const MAX_FILE_BYTES: u64 = 128 << 20;
+
+/// Name of the checksum of the tensors in a checkpoint's metadata. Checkpoints of earlier versions
+/// have none.
+const CHECKSUM: &str = "checksum";
 
 /// Version of the checkpoint's content; every change of the content increments it.
 const VERSION: &str = "3";
@@ -78,6 +82,10 @@ impl Checkpointing {
             }
         }
         let tensors = SafeTensors::deserialize(&bytes).map_err(damaged)?;
+        let contents = tensors.iter().map(|(name, tensor)| (name, tensor.data()));
+        if found.get(CHECKSUM).is_some_and(|it| *it != checksum(contents)) {
+            return Err(self.damaged("its values do not match their checksum".to_owned()));
+        }
         from_tensors(&tensors, training).map_err(|defect| self.damaged(defect.to_string()))
     }
 
@@ -141,14 +149,26 @@ fn to_bytes(training: &TrainingState<'_>) -> Result<Vec<u8>, SafeTensorError> {
     let counters = counters.into_iter().flat_map(u64::to_le_bytes).collect();
     contents.push(("counters", Dtype::U64, counters));
 
+    let checksum = checksum(contents.iter().map(|(name, _, bytes)| (*name, bytes.as_slice())));
     let views = contents.iter().map(|(name, dtype, bytes)| {
         let count = bytes.len() * 8 / dtype.bitsize();
         TensorView::new(*dtype, vec![count], bytes).map(|view| (*name, view))
     });
     let views: Vec<_> = views.collect::<Result<_, _>>()?;
-    let metadata: HashMap<String, String> =
-        identity(training).into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    let metadata: HashMap<String, String> = identity(training)
+        .into_iter()
+        .chain([(CHECKSUM, checksum)])
+        .map(|(name, value)| (name.to_owned(), value))
+        .collect();
     safetensors::serialize(views, Some(metadata))
+}
+
+/// The checksum of named tensors, whatever their order.
+fn checksum<'a>(tensors: impl Iterator<Item = (&'a str, &'a [u8])>) -> String {
+    let mut checksums: Vec<String> =
+        tensors.map(|(name, bytes)| format!("{name} {}\n", checksum_of(bytes))).collect();
+    checksums.sort();
+    checksum_of(checksums.concat().as_bytes())
 }
 
 /// A defect of a checkpoint's tensors.
@@ -226,6 +246,27 @@ fn from_tensors(
 mod tests {
     use super::*;
     use crate::simulation::DomainDistribution;
+
+    #[test]
+    fn a_changed_bit_of_any_value_is_found() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("checkpoint");
+        let settings = TrainSettings::quick();
+        let distribution = DomainDistribution::nominal();
+        let new = || TrainingState::new(&distribution, &settings, None, 1);
+        let checkpointing = Checkpointing { path: path.clone(), every: 1 };
+        checkpointing.write(&new()).unwrap();
+        assert!(checkpointing.resume(&mut new()).is_ok());
+        let whole = fs::read(&path).unwrap();
+        let header = u64::from_le_bytes(*whole.first_chunk().unwrap()) as usize + 8;
+        for place in [header, header + (whole.len() - header) / 2, whole.len() - 1] {
+            let mut damaged = whole.clone();
+            damaged[place] ^= 0x40;
+            fs::write(&path, &damaged).unwrap();
+            let refused = checkpointing.resume(&mut new()).unwrap_err().to_string();
+            assert!(refused.contains("checksum"), "{place}: {refused}");
+        }
+    }
 
     #[test]
     fn the_checkpoint_of_the_longest_training_can_be_read() {
