@@ -59,7 +59,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             );
             loss.map_or(Ok(()), |loss| Err(failures::incomplete(&arguments.file, &loss)))
         }
-        Recovered::Saved { ticks, missing_ticks, lost_bytes, has_outcome } => {
+        Recovered::Saved { ticks, missing_ticks, lost_bytes, has_outcome, has_policy } => {
             output.print(
                 &format!("{}: {ticks} ticks saved", one_line(&out.display().to_string())),
                 &json!({
@@ -70,15 +70,21 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                     "missing_ticks": missing_ticks,
                     "lost_bytes": lost_bytes,
                     "has_outcome": has_outcome,
+                    "has_policy": has_policy,
                 }),
             );
-            if lost_bytes == 0 && missing_ticks == 0 && has_outcome {
+            if lost_bytes == 0 && missing_ticks == 0 && has_outcome && has_policy {
                 return Ok(());
             }
             let outcome = if has_outcome { "is" } else { "is not" };
+            let policy = if has_policy {
+                ""
+            } else {
+                "; its policy is lost, so that `replay` cannot run it again, and other commands can use the ticks"
+            };
             Err(Failure::data_lost(format!(
                 "{path}: {lost_bytes} bytes could not be saved; {missing_ticks} ticks are missing before the last one; \
-                 how the rollout ended {outcome} known"
+                 how the rollout ended {outcome} known{policy}"
             )))
         }
     }

@@ -245,7 +245,14 @@ fn replay_file(
         MotionLog::read(&path).map_err(Problem::usage)?
     } else {
         let recording = read(&path).map_err(|error| recording_problem(&error))?;
-        problem = rerun_recording(&recording, report)?;
+        problem = if recording.policy.is_empty() {
+            Some(Problem::data_lost(format!(
+                "{}: its policy was lost, so that its decisions cannot be replayed; --simulate and --animate need none",
+                one_line(&path.display().to_string())
+            )))
+        } else {
+            rerun_recording(&recording, report)?
+        };
         match MotionLog::of_recording(&recording) {
             Some(log) => log,
             // Without ticks of the policy there is nothing to simulate or draw: settling failed, or

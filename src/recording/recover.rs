@@ -25,6 +25,8 @@ pub enum Recovered {
         lost_bytes: u64,
         /// True if the outcome was saved.
         has_outcome: bool,
+        /// True if the policy was saved. Without it the rollout cannot be replayed.
+        has_policy: bool,
     },
 }
 
@@ -42,6 +44,7 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
     let mut scan = checked_scan(&bytes).map_err(unreadable)?;
     let (damage, lost_bytes) = (scan.first_damage(), scan.lost_bytes);
     let last_ticks = scan.last_ticks.take();
+    let has_policy = scan.policy.is_some();
     if damage.is_some() && !scan.ticks.is_empty() {
         scan.policy.get_or_insert_default();
     }
@@ -58,7 +61,7 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => RecordingError::DiskFull { path },
         _ => RecordingError::Create { path, source },
     })?;
-    Ok(Recovered::Saved { ticks, missing_ticks, lost_bytes, has_outcome })
+    Ok(Recovered::Saved { ticks, missing_ticks, lost_bytes, has_outcome, has_policy })
 }
 
 /// The bytes of a complete recording; `path` only appears in errors.
@@ -144,7 +147,10 @@ mod tests {
         bytes[inside_policy] ^= 0x55;
         std::fs::write(&damaged, &bytes).unwrap();
         let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
-        assert!(matches!(recovered, Recovered::Saved { ticks: 40, .. }), "{recovered:?}");
+        assert!(
+            matches!(recovered, Recovered::Saved { ticks: 40, has_policy: false, .. }),
+            "{recovered:?}"
+        );
         let told = read(&damaged).unwrap_err().to_string();
         assert!(told.contains("Its intact part can be saved"), "{told}");
         let recording = read(&saved).unwrap();
@@ -268,8 +274,13 @@ mod tests {
             let path = |name: &str| directory.path().join(format!("{kept}-{name}.mcap"));
             std::fs::write(path("cut"), &bytes[..kept]).unwrap();
             let recovered = recover(&MachineDisk, &path("cut"), &path("saved")).unwrap();
-            let whole =
-                Recovered::Saved { ticks: 20, missing_ticks: 0, lost_bytes: 0, has_outcome: true };
+            let whole = Recovered::Saved {
+                ticks: 20,
+                missing_ticks: 0,
+                lost_bytes: 0,
+                has_outcome: true,
+                has_policy: true,
+            };
             assert_eq!(recovered, whole, "{kept} of {} bytes", bytes.len());
         }
     }

@@ -267,6 +267,24 @@ fn a_changed_byte_is_bad_input_and_a_cut_off_file_is_lost_data() {
     let output = qube_hil(&["recover", saved]);
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
 
+    // A recording whose policy is damaged keeps its ticks, which can still be simulated.
+    let policy = qube_hil::recording::read(&path).unwrap().policy;
+    let place = whole.windows(policy.len()).position(|bytes| bytes == policy).unwrap();
+    let mut bytes = whole.clone();
+    bytes[place + 8] ^= 4;
+    let output = qube_hil(&["recover", "--json", &file("policy.mcap", &bytes)]);
+    assert_eq!(output.status.code(), Some(3));
+    assert!(stderr(&output).contains("its policy is lost"), "{}", stderr(&output));
+    let told = json(&output);
+    assert_eq!(told["has_policy"], false);
+    let saved = told["recovered"].as_str().unwrap();
+    for (more, simulates) in [(&[][..], false), (&["--simulate"], true)] {
+        let output = qube_hil(&[&["replay", "--json", saved], more].concat());
+        assert_eq!(output.status.code(), Some(3));
+        assert!(stderr(&output).contains("its policy was lost"), "{}", stderr(&output));
+        assert_eq!(!json(&output)["rmse"].is_null(), simulates, "{}", json(&output));
+    }
+
     let before = files_of(folder.path());
     let output = qube_hil(&["recover", path.to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
