@@ -85,11 +85,25 @@ pub struct Arguments {
 /// Voltages that `run --volts` accepts, V.
 const RUN_VOLTS: RangeInclusive<f64> = 0.1..=3.0;
 
+/// Refuses an --out that is one of the recordings, which the profile would replace.
+fn refuse_an_input(arguments: &Arguments) -> Result<(), Failure> {
+    let Ok(out) = arguments.out.canonicalize() else { return Ok(()) };
+    let mut inputs = arguments.files.iter().chain(&arguments.holdout);
+    if inputs.any(|file| file.canonicalize().is_ok_and(|file| file == out)) {
+        return Err(Failure::usage(format!(
+            "--out {} is one of the recordings: name another file for the profile",
+            arguments.out.display()
+        )));
+    }
+    Ok(())
+}
+
 /// Fits, verifies, writes the profile and prints the result. If a picture cannot be written, it
 /// returns the failure after that.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let unknowns = unknowns(&arguments.fix)?;
     let out = OutputFile::prepare(&arguments.out, Existing::replaced_if(arguments.force))?;
+    refuse_an_input(arguments)?;
     let plots = arguments.plot.as_deref().map(plot_folder).transpose()?;
     let groups = [&arguments.files[..], &arguments.holdout[..]];
     let recordings = read_recordings(groups, arguments.plant.given()?).map_err(Failure::usage)?;

@@ -99,3 +99,16 @@ where
         Self::Session(error.into())
     }
 }
+
+impl ExperimentError {
+    /// The error of a stored result that was damaged, and that is computed again where its file is
+    /// missing.
+    pub(super) fn damaged_result(path: PathBuf, defect: &impl ToString) -> Self {
+        let defect = defect.to_string();
+        let reason = format!(
+            "damaged: {}. Remove the file: it is computed again from the recordings",
+            defect.lines().next().unwrap_or_default()
+        );
+        Self::Settings { path, reason }
+    }
+}

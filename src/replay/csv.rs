@@ -27,6 +27,12 @@ pub enum CsvError {
         /// Header of the file, at most 200 characters of it.
         found: String,
     },
+    /// Two columns have the name of a required column.
+    #[error("the header has the column `{column}` twice: keep the one that holds the motion")]
+    ColumnTwice {
+        /// Name of the column.
+        column: &'static str,
+    },
     /// A field is not a finite number.
     #[error("line {line}: `{text}` in column `{column}` is not a finite number")]
     BadNumber {
@@ -196,6 +202,9 @@ impl<'a> Header<'a> {
                 column: column.name,
                 found: self.names.join(", ").chars().take(200).collect(),
             })?;
+            if self.names.iter().filter(|it| **it == column.name).count() > 1 {
+                return Err(CsvError::ColumnTwice { column: column.name });
+            }
         }
         Ok(columns)
     }
@@ -503,5 +512,9 @@ mod tests {
         let message = parse_csv("time_s,theta_rad\n0,0\n").unwrap_err().to_string();
         assert_eq!(message, "the column `alpha_rad` is missing; the header has: time_s, theta_rad");
         assert!(matches!(parse_csv(""), Err(CsvError::MissingColumn { .. })));
+        let twice =
+            "time_s,theta_rad,alpha_rad,theta_dot_rad_s,alpha_dot_rad_s,voltage_v,voltage_v\n";
+        let message = parse_csv(twice).unwrap_err().to_string();
+        assert!(message.starts_with("the header has the column `voltage_v` twice"), "{message}");
     }
 }

@@ -466,6 +466,19 @@ fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
     for words in ["over real rollouts", "all plants", "posterior", "cable"] {
         assert!(svg.contains(words), "{words}");
     }
+    let fit = whole.path().join("one/budgets/cable/posterior/000/identified-2.toml");
+    let found = std::fs::read(&fit).unwrap();
+    std::fs::write(&fit, "name = ").unwrap();
+    let output = experiment(whole.path(), &["--resume", "one"]).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    assert!(
+        told.contains("identified-2.toml: damaged") && told.contains("Remove the file"),
+        "{told}"
+    );
+    std::fs::remove_file(&fit).unwrap();
+    succeeded(&experiment(whole.path(), &["--resume", "one"]).output().unwrap());
+    assert_eq!(std::fs::read(&fit).unwrap(), found);
 
     // A method depends neither on other methods nor on other plants, so an interrupted experiment
     // with fewer of them has the same files for each.

@@ -32,6 +32,29 @@ fn a_policy_or_a_profile_replaces_nothing_unless_asked() {
 }
 
 #[test]
+fn a_profile_does_not_replace_a_table_that_it_would_be_fitted_to() {
+    let directory = tempfile::tempdir().unwrap();
+    let table = directory.path().join("motion.csv");
+    std::fs::write(&table, "precious").unwrap();
+    for identify in [
+        &["identify", "motion.csv", "--out", "./motion.csv", "--force"][..],
+        &["identify", "no.mcap", "--holdout", "motion.csv", "--out", "motion.csv", "--force"],
+    ] {
+        refused(directory.path(), identify, 2, &["motion.csv", "is one of the recordings"]);
+    }
+    assert_eq!(std::fs::read_to_string(&table).unwrap(), "precious");
+}
+
+#[test]
+fn a_benchmark_of_a_size_that_no_memory_holds_is_bad_usage() {
+    let directory = tempfile::tempdir().unwrap();
+    for option in ["--evaluations", "--repetitions"] {
+        let benchmark = ["benchmark", "regret", option, "4294967295"];
+        refused(directory.path(), &benchmark, 2, &[option, "1.."]);
+    }
+}
+
+#[test]
 fn a_place_that_cannot_be_written_is_bad_usage() {
     let directory = tempfile::tempdir().unwrap();
     std::fs::write(directory.path().join("file"), "").unwrap();

@@ -36,12 +36,12 @@ pub struct Arguments {
     suite: Suite,
 
     /// Repetitions, each with its own seed [default: 50 for `regret`, 200 for `noise`]
-    #[arg(long, value_name = "N")]
-    repetitions: Option<NonZeroUsize>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    repetitions: Option<u32>,
 
     /// Evaluations of each search, for `regret`
-    #[arg(long, value_name = "N", default_value = "60")]
-    evaluations: NonZeroUsize,
+    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    evaluations: u32,
 
     /// Number of points that are still to be evaluated when the next one is proposed, for `regret`
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=1000))]
@@ -80,7 +80,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
 
 impl Arguments {
     fn repetitions(&self, usual: usize) -> usize {
-        self.repetitions.map_or(usual, NonZeroUsize::get)
+        self.repetitions.map_or(usual, |it| it as usize)
     }
 
     fn threads(&self) -> usize {
@@ -113,7 +113,7 @@ impl Arguments {
 }
 
 fn regret(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
-    let (repetitions, evaluations) = (arguments.repetitions(50), arguments.evaluations.get());
+    let (repetitions, evaluations) = (arguments.repetitions(50), arguments.evaluations as usize);
     let (settings, pending) = (BayRnSettings::default(), arguments.pending as usize);
     let mut text = format!(
         "simple regret after {evaluations} evaluations, {repetitions} repetitions: median [quartiles]\n"
@@ -239,7 +239,7 @@ mod tests {
         let arguments = Arguments {
             suite: Suite::Regret,
             repetitions: None,
-            evaluations: NonZeroUsize::MIN,
+            evaluations: 1,
             pending: 0,
             seed: 0,
             threads: None,

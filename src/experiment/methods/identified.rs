@@ -235,6 +235,11 @@ impl<'a> FromRecordings<'a> {
             OnDisk::Found(Fit::Refused(reason)) => Recommended::Refused(reason),
             OnDisk::Found(Fit::Found(profile)) => match self.recommendation(&profile) {
                 Ok(recommendation) => Recommended::Found(Box::new(recommendation)),
+                // No fit writes such a text, so the file was damaged.
+                Err(NoRecommendation::Profile(ProfileError::Invalid(error))) => {
+                    let path = self.run.folder.join(format!("identified-{recordings}.toml"));
+                    return Err(ExperimentError::damaged_result(path, &error));
+                }
                 Err(error) => Recommended::Refused(error.to_string()),
             },
         })

@@ -123,7 +123,7 @@ impl<'a> FromRival<'a> {
             return stored
                 .and_then(|belief| belief.within(&self.space))
                 .map(OnDisk::Found)
-                .map_err(|reason| ExperimentError::Settings { path, reason });
+                .map_err(|reason| ExperimentError::damaged_result(path, &reason));
         }
         if !self.run.access.works() {
             return Ok(OnDisk::Missing);
