@@ -207,7 +207,6 @@ impl Strategy for BayRn {
             expected_return: posterior.mean,
             standard_deviation: Some(posterior.deviation()),
             best_evaluated,
-            best_evaluated_return: evaluated[best_evaluated],
         })
     }
 

@@ -102,6 +102,5 @@ pub(super) fn best_evaluated(
         expected_return,
         standard_deviation: data[index].standard_error(),
         best_evaluated: index,
-        best_evaluated_return: expected_return,
     })
 }

@@ -54,6 +54,4 @@ pub struct Best {
     pub standard_deviation: Option<f64>,
     /// Index in the data of the evaluated candidate with the highest expected return.
     pub best_evaluated: usize,
-    /// Return expected at the point of this candidate.
-    pub best_evaluated_return: f64,
 }
