@@ -175,6 +175,16 @@ fn is_stopped_and_resumed(kind: Signal, expected: i32, updates: u32) -> bool {
     code == Some(expected)
 }
 
+/// Removes the last `removed` entries of a ledger, as if the session had been killed before them;
+/// returns the text that is left.
+fn cut_ledger(ledger: &Path, removed: usize) -> String {
+    let entries = std::fs::read_to_string(ledger).unwrap();
+    let count = entries.lines().count() - removed;
+    let earlier: String = entries.split_inclusive('\n').take(count).collect();
+    std::fs::write(ledger, &earlier).unwrap();
+    earlier
+}
+
 /// Resumes a session in this folder; returns its exit code, and its messages before its result.
 fn resume(directory: &Path, name: &str) -> (Option<i32>, String) {
     let output = command_in(directory)
@@ -312,8 +322,7 @@ fn a_finished_recording_that_was_cut_is_data_lost() {
     // A session that is not over reports the missing recording before it goes on.
     let ledger = directory.path().join("mine/ledger.jsonl");
     let entries = std::fs::read_to_string(&ledger).unwrap();
-    let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 4).collect();
-    std::fs::write(&ledger, &earlier).unwrap();
+    let earlier = cut_ledger(&ledger, 4);
     std::fs::remove_file(&recording).unwrap();
     let (code, told) = resume(directory.path(), "mine");
     assert_eq!(code, Some(3), "{told}");
@@ -355,9 +364,7 @@ fn a_policy_that_is_lost_is_reported_before_the_session_goes_on() {
     let directory = tempfile::tempdir().unwrap();
     assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
     let ledger = directory.path().join("mine/ledger.jsonl");
-    let entries = std::fs::read_to_string(&ledger).unwrap();
-    let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 4).collect();
-    std::fs::write(&ledger, &earlier).unwrap();
+    let earlier = cut_ledger(&ledger, 4);
     let policy = directory.path().join("mine/candidates/001/policy.safetensors");
     let whole = std::fs::read(&policy).unwrap();
     for damaged in [Some(&whole[..whole.len() / 2]), None] {
@@ -395,8 +402,7 @@ fn a_recording_in_the_place_of_another_is_not_counted_twice() {
     // A session that was killed before it entered its last recording does not adopt another.
     let ledger = directory.path().join("mine/ledger.jsonl");
     let entries = std::fs::read_to_string(&ledger).unwrap();
-    let earlier: String = entries.split_inclusive('\n').take(entries.lines().count() - 1).collect();
-    std::fs::write(&ledger, &earlier).unwrap();
+    let earlier = cut_ledger(&ledger, 1);
     refuses("006/rollout-0-attempt-0.mcap", "006/rollout-1-attempt-0.mcap");
     assert_eq!(std::fs::read_to_string(&ledger).unwrap(), earlier);
     assert_eq!(resume(directory.path(), "mine").0, Some(0));
