@@ -1,24 +1,15 @@
 //! Tests the command `experiment`: interrupted, killed and resumed, on one thread or several, it
-//! gives the same table and the same files, byte for byte. Impossible and changed settings are
-//! refused.
+//! gives the same table and the same files, byte for byte but for a stop that a recording holds.
+//! Impossible and changed settings are refused.
 
-use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
 
-use rustix::process::{Pid, Signal, kill_process};
-
-use crate::folders::files_of;
+use crate::experiments::{
+    SEARCH, TINY, experiment, files, run_with_interruptions, same_files, table,
+};
 use crate::program::succeeded;
-use crate::shared::command_in;
-
-/// Policies with two small updates of training.
-const TINY: &str = "[settings.training]\nupdates = 2\nnum_envs = 16\nepochs = 1\n";
-
-/// A search of three candidates, whose recommendation is verified; one rollout each.
-const SEARCH: &str = "[settings.extent]\ninitial_candidates = 2\niterations = 1\nrollouts = 1\n\
-                      verification_rollouts = 1\n";
 
 const PLANTS: &str = "[[plants]]\nname = \"lab\"\nprofile = \"lab\"\n\n\
                       [[plants]]\nname = \"worse\"\nprofile = \"lab\"\ngap = 1.5\nvary = 0.1\n";
@@ -32,12 +23,6 @@ fn prepare(directory: &Path) {
     recipe("nominal", "");
     recipe("opt-nominal", SEARCH);
     std::fs::write(directory.join("plants.toml"), PLANTS).unwrap();
-}
-
-fn experiment(directory: &Path, arguments: &[&str]) -> Command {
-    let mut command = command_in(directory);
-    command.arg("experiment").args(arguments);
-    command
 }
 
 const BEGIN: [&str; 14] = [
@@ -56,26 +41,6 @@ const BEGIN: [&str; 14] = [
     "--out",
     "one",
 ];
-
-fn begin(directory: &Path, arguments: &[&str], threads: &str) -> Child {
-    experiment(directory, &[arguments, &["--threads", threads]].concat())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("the program starts")
-}
-
-/// Resumes the experiment and returns the printed table, then the table in CSV.
-fn table(directory: &Path) -> String {
-    let output = experiment(directory, &["--resume", "one", "--csv", "one.csv"]).output().unwrap();
-    succeeded(&output) + &std::fs::read_to_string(directory.join("one.csv")).unwrap()
-}
-
-/// The bytes of every file by its path, without files that an interruption has left unfinished.
-fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let whole = files_of(folder).into_iter();
-    whole.filter(|(name, _)| !name.contains("unfinished")).collect()
-}
 
 #[test]
 fn an_experiment_killed_and_stopped_again_and_again_comes_to_the_same_table() {
@@ -228,48 +193,6 @@ fn an_experiment_killed_and_stopped_again_and_again_comes_to_the_same_table() {
     same_files(torn.path(), &expected_files);
 }
 
-/// Runs an experiment, killing and stopping it in turn, until it is complete.
-fn run_with_interruptions(directory: &Path, arguments: &[&str]) {
-    let mut child = begin(directory, arguments, "1");
-    let mut interruptions = 0;
-    loop {
-        // The pauses differ, so that the interruptions come in different phases. The first pause is
-        // zero, so that at least one interruption comes on any computer.
-        std::thread::sleep(Duration::from_millis(53 * (interruptions % 7)));
-        if let Some(status) = child.try_wait().unwrap() {
-            assert!(status.success(), "after {interruptions} interruptions: {status}");
-            break;
-        }
-        // After 20 interruptions the program runs to its end, even on a computer that is too slow
-        // to finish anything between two of them.
-        if interruptions < 20 {
-            let signal = if interruptions % 2 == 0 { Signal::KILL } else { Signal::INT };
-            let _ = kill_process(Pid::from_child(&child), signal);
-            interruptions += 1;
-            let code = child.wait().unwrap().code();
-            assert!(matches!(code, None | Some(0 | 130)), "{code:?}");
-            child = if directory.join("one/experiment.toml").exists() {
-                let arguments = ["--resume", "one", "--threads", "2"];
-                let mut command = experiment(directory, &arguments);
-                command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
-            } else {
-                let _ = std::fs::remove_dir_all(directory.join("one"));
-                begin(directory, arguments, "1")
-            };
-        }
-    }
-    assert!(interruptions > 0, "the experiment was over before it could be interrupted");
-}
-
-/// Panics unless the folder of the experiment has exactly these files, apart from unfinished ones.
-fn same_files(directory: &Path, expected: &BTreeMap<String, Vec<u8>>) {
-    let found = files(&directory.join("one"));
-    assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
-    for (name, bytes) in expected {
-        assert!(*bytes == found[name], "{name} differs");
-    }
-}
-
 #[test]
 fn files_that_cannot_be_written_in_the_end_do_not_hide_the_table() {
     // The trainings last longer each time, until the test writes its files before they end.
@@ -321,183 +244,6 @@ fn shows_its_table_despite_files_in_its_way(updates: u32) -> bool {
     assert_eq!(result["ended_by"]["exit_code"], 2);
     assert_eq!(std::fs::read_to_string(directory.path().join("one.csv")).unwrap(), "mine");
     true
-}
-
-/// A box that the excitation leaves at once.
-const NARROW: &str = "[settings.safety_box]\nalpha_dot = 0.5\n";
-
-#[test]
-fn interrupted_and_resumed_methods_give_the_same_table() {
-    let arguments = [
-        "--strategies",
-        "bayrn,random,identify",
-        "--recipe",
-        "search.toml",
-        "--profile",
-        "lab",
-        "--repetitions",
-        "2",
-        "--recordings",
-        "2",
-        "--policies",
-        "3",
-        "--rollouts",
-        "2",
-        "--seed",
-        "4",
-        "--out",
-        "one",
-    ];
-    let prepare = |directory: &Path| {
-        let text = format!("name = \"tiny\"\nmodel = \"opt-nominal\"\n{TINY}{SEARCH}{NARROW}");
-        std::fs::write(directory.join("search.toml"), text).unwrap();
-    };
-    let whole = tempfile::tempdir().unwrap();
-    prepare(whole.path());
-    let output = experiment(whole.path(), &arguments).output().unwrap();
-    let text = succeeded(&output);
-    assert!(text.contains("tiny on lab"), "{text}");
-    // Untrained policies never succeed, and a recording that is cut short cannot identify a Qube.
-    let lines = [
-        "bayrn              0/2",
-        "random             0/2",
-        "identify           0/2",
-        "identify: ",
-    ];
-    for line in lines {
-        assert!(text.lines().any(|it| it.starts_with(line)), "{line} in {text}");
-    }
-    assert!(text.contains("> 3") && text.contains("> 2"), "{text}");
-    let expected = table(whole.path());
-    assert!(expected.starts_with(&text), "a resumed finished experiment printed another table");
-    assert!(expected.contains("bayrn,1,3,1,0,2,false,"), "{expected}");
-    let expected_files = files(&whole.path().join("one"));
-    let count = |end: &str| expected_files.keys().filter(|name| name.ends_with(end)).count();
-    assert_eq!(count("refused-2.txt"), 2);
-    // Every recommendation fails here, so that the first of the three policies that would score it
-    // decides. The four refused recommendations of `identify` have no policy.
-    let scored = expected.lines().filter(|line| line.contains(",false,")).count() - 4;
-    let search_policies = 2 * 2 * 3;
-    assert_eq!(count("policy.safetensors"), search_policies + scored);
-
-    let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
-    succeeded(&{ drawn }.output().unwrap());
-    let svg = std::fs::read_to_string(whole.path().join("figures/strategies.svg")).unwrap();
-    assert!(svg.contains("bayrn") && svg.contains("identify"));
-
-    let torn = tempfile::tempdir().unwrap();
-    prepare(torn.path());
-    run_with_interruptions(torn.path(), &arguments);
-    assert_eq!(table(torn.path()), expected);
-    same_files(torn.path(), &expected_files);
-}
-
-/// The arguments of a comparison at fixed budgets, with the settings of [`prepare_budgets`].
-fn at_budgets(methods: &'static str) -> Vec<&'static str> {
-    let ending = ["--budgets", "0,1,2", "--recipe", "search.toml", "--plants", "plants.toml"];
-    let sizes = ["--repetitions", "1", "--rollouts", "1", "--trainings", "2"];
-    [&["--strategies", methods][..], &ending, &sizes, &["--seed", "4", "--out", "one"]].concat()
-}
-
-fn prepare_budgets(directory: &Path, plants: &[&str]) {
-    let text = format!("name = \"tiny\"\nmodel = \"opt-nominal\"\n{TINY}{SEARCH}");
-    std::fs::write(directory.join("search.toml"), text).unwrap();
-    std::fs::write(directory.join("plants.toml"), plants.concat()).unwrap();
-}
-
-/// The methods of a comparison with their budgets, as the table names them on this plant.
-fn rows_on(result: &serde_json::Value, plant: &str) -> Vec<String> {
-    let rows = result["models"].as_array().unwrap().iter();
-    rows.filter(|row| row["plant"] == plant)
-        .map(|row| row["model"].as_str().unwrap().to_owned())
-        .collect()
-}
-
-const LAB: &str = "[[plants]]\nname = \"lab\"\nprofile = \"lab\"\n\n";
-
-#[test]
-fn methods_that_fit_a_qube_have_no_recommendation_without_a_recording() {
-    let directory = tempfile::tempdir().unwrap();
-    prepare_budgets(directory.path(), &[LAB]);
-    let methods = at_budgets("identify-mean,sequential");
-    let output = experiment(directory.path(), &methods).args(["--json"]).output().unwrap();
-    let result: serde_json::Value = serde_json::from_str(&succeeded(&output)).unwrap();
-    let expected = ["identify-mean 1", "identify-mean 2", "sequential 1", "sequential 2"];
-    assert_eq!(rows_on(&result, "lab"), expected);
-    let recorded = files(&directory.path().join("one"));
-    let of_sequential = "budgets/lab/sequential/000/recordings";
-    let is_of_sequential =
-        |name: &&String| name.starts_with(of_sequential) && name.ends_with(".mcap");
-    assert_eq!(recorded.keys().filter(is_of_sequential).count(), 2);
-}
-
-#[test]
-fn methods_at_fixed_budgets_are_scored_on_every_plant_and_can_be_interrupted() {
-    const CABLE: &str = "[[plants]]\nname = \"cable\"\nprofile = \"lab\"\nplay_deg = 0.5\n\
-                         effects = { hysteresis_n_m = 0.0002, slack = 1.0 }\n";
-    let whole = tempfile::tempdir().unwrap();
-    prepare_budgets(whole.path(), &[LAB, CABLE]);
-    let methods = at_budgets("robust,posterior,random");
-    let output = experiment(whole.path(), &methods).args(["--json"]).output().unwrap();
-    let result: serde_json::Value = serde_json::from_str(&succeeded(&output)).unwrap();
-    for plant in ["lab", "cable", "all plants"] {
-        // Only `robust` needs no rollout, so only it has a recommendation at budget 0.
-        let expected = [
-            "robust 0",
-            "robust 1",
-            "robust 2",
-            "posterior 1",
-            "posterior 2",
-            "random 1",
-            "random 2",
-        ];
-        assert_eq!(rows_on(&result, plant), expected, "{plant}");
-    }
-    // One policy of `robust` serves all budgets.
-    let names = files(&whole.path().join("one"));
-    let count = |start: &str, end: &str| {
-        names.keys().filter(|name| name.starts_with(start) && name.ends_with(end)).count()
-    };
-    assert_eq!(count("budgets/lab/robust", "policy.safetensors"), 1);
-    assert_eq!(count("budgets/cable/posterior", "identified-2.toml"), 1);
-    let drawn = experiment(whole.path(), &["--resume", "one", "--table", "--figures", "figures"]);
-    succeeded(&{ drawn }.output().unwrap());
-    let svg = std::fs::read_to_string(whole.path().join("figures/budgets.svg")).unwrap();
-    for words in ["over real rollouts", "all plants", "posterior", "cable"] {
-        assert!(svg.contains(words), "{words}");
-    }
-    let fit = whole.path().join("one/budgets/cable/posterior/000/identified-2.toml");
-    let found = std::fs::read(&fit).unwrap();
-    std::fs::write(&fit, "name = ").unwrap();
-    let output = experiment(whole.path(), &["--resume", "one"]).output().unwrap();
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{told}");
-    assert!(
-        told.contains("identified-2.toml: damaged") && told.contains("Remove the file"),
-        "{told}"
-    );
-    std::fs::remove_file(&fit).unwrap();
-    succeeded(&experiment(whole.path(), &["--resume", "one"]).output().unwrap());
-    assert_eq!(std::fs::read(&fit).unwrap(), found);
-
-    // A method depends neither on other methods nor on other plants, so an interrupted experiment
-    // with fewer of them has the same files for each.
-    let torn = tempfile::tempdir().unwrap();
-    prepare_budgets(torn.path(), &[LAB]);
-    run_with_interruptions(torn.path(), &at_budgets("robust,posterior"));
-    let found = files(&torn.path().join("one"));
-    let of = |files: &BTreeMap<String, Vec<u8>>, method: &str| {
-        let folder = format!("budgets/lab/{method}/");
-        let names = files.keys().filter(|name| name.starts_with(&folder));
-        names.cloned().collect::<Vec<_>>()
-    };
-    for method in ["robust", "posterior"] {
-        let of_method = of(&found, method);
-        assert!(!of_method.is_empty() && of_method == of(&names, method), "{method}");
-        for name in of_method {
-            assert!(found[&name] == names[&name], "{name} differs");
-        }
-    }
 }
 
 #[test]
