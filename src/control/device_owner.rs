@@ -187,9 +187,7 @@ impl DeviceOwner {
     }
 
     /// Drives a motion and adopts the state of control in which the motion ends. If the device has
-    /// not confirmed that its amplifier is off, [`ControlEvent::NoAnswer`] follows: it latches a
-    /// fault, but leads from [`ControlState::Identified`], in which a stop of homing ends, to
-    /// [`ControlState::Idle`].
+    /// not confirmed that its amplifier is off, a fault is latched, whatever ended the motion.
     ///
     /// # Errors
     /// The device could not be armed; the fault is latched.
@@ -205,7 +203,7 @@ impl DeviceOwner {
             Ok(report) => {
                 self.state = motion.control_state();
                 if report.disarmed.is_err() {
-                    self.state.take(ControlEvent::NoAnswer);
+                    self.state.take(ControlEvent::SwitchOffFault);
                 }
                 Ok(report)
             }
@@ -224,10 +222,45 @@ impl DeviceOwner {
             let (last, device) = (report.last_measurement.as_ref(), &mut *self.device);
             let kept = self.rest_monitor.keep(last, device, &*self.clock, &self.stop);
             if let Err(stays_armed) = kept {
-                self.state.take(ControlEvent::NoAnswer);
+                self.state.take(ControlEvent::SwitchOffFault);
                 report.disarmed = Err(stays_armed);
             }
         }
         report
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::Ordering;
+
+    use super::super::plant_device::PlantDevice;
+    use super::*;
+    use crate::qube::State;
+    use crate::telemetry::Ending;
+
+    #[test]
+    fn a_stopped_homing_whose_motor_nobody_confirmed_to_be_off_latches_a_fault() {
+        for (confirms_off, expected) in
+            [(true, ControlState::Identified), (false, ControlState::Faulted)]
+        {
+            let mut device = PlantDevice::new(State::default());
+            device.confirms_off = confirms_off;
+            let (clock, stop) = (Arc::new(device.clock.clone()), Arc::new(AtomicBool::new(false)));
+            let mut owner =
+                DeviceOwner::new(Box::new(device), clock, Arc::clone(&stop), Arc::default());
+            owner.hello(HelloRetries::default()).unwrap();
+            stop.store(true, Ordering::Relaxed);
+            let (report, _) = owner.home(&HomingSettings::default()).unwrap();
+            assert_eq!(report.outcome.ending, Ending::Stopped);
+            assert_eq!(owner.state, expected);
+            // A homing after a fault first sees the arm at rest.
+            stop.store(false, Ordering::Relaxed);
+            assert_eq!(owner.home(&HomingSettings::default()).is_ok(), confirms_off);
+            owner.hello(HelloRetries::default()).unwrap();
+            let greeted =
+                if confirms_off { ControlState::Identified } else { ControlState::Cleared };
+            assert_eq!(owner.state, greeted);
+        }
     }
 }

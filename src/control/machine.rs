@@ -39,8 +39,7 @@ pub enum ControlState {
 pub enum ControlEvent {
     /// The operator or the session requested a hello, and the device answered.
     Hello,
-    /// The device did not answer, has restarted, did not arm, or has not confirmed that its
-    /// amplifier is off.
+    /// The device did not answer, has restarted or did not arm.
     NoAnswer,
     /// The operator or the session requests an examination.
     Check,
@@ -65,8 +64,9 @@ pub enum ControlEvent {
     BrakingEnded,
     /// A fault while link, amplifier and the arm's encoder can be trusted.
     BrakeFault,
-    /// A fault after which link, amplifier, motor or the arm's encoder cannot be trusted. In homing
-    /// every fault is this event, because the arm is slow enough to be switched off at once.
+    /// A fault after which link, amplifier, motor or the arm's encoder cannot be trusted, for
+    /// instance that the device has not confirmed that its amplifier is off. In homing every fault
+    /// is this event, because the arm is slow enough to be switched off at once.
     SwitchOffFault,
     /// A count is doubted, while link and amplifier can be trusted: the arm's in any phase, or the
     /// pendulum's while the arm is braked because of it.

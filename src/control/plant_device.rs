@@ -35,6 +35,8 @@ pub struct PlantDevice {
     pub armed: bool,
     /// Voltage of an armed motor that ignores all acts, mV; `None` if the motor follows the acts.
     pub stuck_mv: Option<i16>,
+    /// True if the device confirms that its motor is off.
+    pub confirms_off: bool,
     /// Voltages of all acts, mV.
     pub voltages_mv: Vec<i16>,
     /// Largest distance of the arm from the middle so far, rad.
@@ -59,6 +61,7 @@ impl PlantDevice {
             offset_counts: 0,
             armed: false,
             stuck_mv: None,
+            confirms_off: true,
             voltages_mv: Vec::new(),
             furthest_rad: 0.0,
             deaf_until_ns: 0,
@@ -156,7 +159,11 @@ impl Device for PlantDevice {
         self.catch_up();
         self.armed = false;
         self.voltage_mv = 0;
-        Ok(())
+        if self.confirms_off {
+            Ok(())
+        } else {
+            Err(DeviceError::Link { port: "none".into(), fault: LinkFault::Timeout })
+        }
     }
 
     fn is_hardware(&self) -> bool {
