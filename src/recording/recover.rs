@@ -49,7 +49,10 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
         scan.policy.get_or_insert_default();
     }
     let recording = recording(scan).map_err(unreadable)?;
-    let Some(damage) = damage else { return Ok(Recovered::WasWhole { loss: recording.loss() }) };
+    let Some(damage) = damage else {
+        let without_policy = recording.policy.is_empty().then(|| "lacks its policy".to_owned());
+        return Ok(Recovered::WasWhole { loss: recording.loss().or(without_policy) });
+    };
     let (ticks, missing_ticks) = (recording.ticks.len(), recording.missing_ticks());
     let has_outcome = recording.outcome.is_some();
     let lost = BTreeMap::from([
@@ -156,6 +159,8 @@ mod tests {
         let recording = read(&saved).unwrap();
         assert_eq!(all_bits(&recording.ticks), all_bits(&ticks(40)));
         assert!(recording.policy.is_empty());
+        let again = recover(&MachineDisk, &saved, &directory.path().join("c.mcap")).unwrap();
+        assert_eq!(again, Recovered::WasWhole { loss: Some("lacks its policy".into()) });
     }
 
     #[test]
