@@ -40,6 +40,12 @@ pub trait Clock: Send + Sync {
     /// deadline has passed.
     fn sleep_until(&self, deadline_ns: Nanoseconds);
 
+    /// Total time for which the computer has been suspended, ns, in which [`now_ns`](Self::now_ns)
+    /// stood still; 0 for a clock that knows of no such time.
+    fn suspended_ns(&self) -> Nanoseconds {
+        0
+    }
+
     /// Keeps the processors awake until the returned value is dropped. Returns `None` where the
     /// operating system does not permit this or the clock does not need it.
     fn stay_awake(&self) -> Option<AwakeProcessors> {

@@ -23,4 +23,23 @@ impl Clock for MonotonicClock {
             }
         }
     }
+
+    fn suspended_ns(&self) -> Nanoseconds {
+        // `CLOCK_BOOTTIME` goes on while the computer is suspended.
+        let now_ns = self.now_ns();
+        nanoseconds(&clock_gettime(ClockId::Boottime)).saturating_sub(now_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_for_which_the_computer_runs_is_not_counted_as_suspended() {
+        let before_ns = MonotonicClock.suspended_ns();
+        MonotonicClock.sleep_until(MonotonicClock.now_ns() + 50_000_000);
+        // The two clocks are read one after the other.
+        assert!(MonotonicClock.suspended_ns() < before_ns + 40_000_000);
+    }
 }

@@ -63,6 +63,10 @@ impl Clock for PunctualClock {
         }
     }
 
+    fn suspended_ns(&self) -> Nanoseconds {
+        self.sleeper.suspended_ns()
+    }
+
     fn stay_awake(&self) -> Option<AwakeProcessors> {
         // A refusal is silent here, because `enter_realtime` reports it once.
         AwakeProcessors::hold(&self.latency_file).ok()

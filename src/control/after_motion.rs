@@ -10,10 +10,10 @@ const SLEEP_US: u64 = 2_000_000;
 /// the whole report shows; `None` after a motion without a fault. With an emulated Qube, a sleep of
 /// the computer is no fault.
 ///
-/// If the motor is not confirmed to be off, the log reports it, and the result is
-/// [`Fault::OffUnconfirmed`], unless the ending is a fault with a consequence other than
-/// [`Consequence::TryAgain`]. [`DriveReport::disarmed`] shows whether the motor was confirmed to be
-/// off.
+/// A fault that ends the run or leaves a doubt comes first, then a sleep of the computer, which
+/// ends the run whatever else happened meanwhile. If the motor is not confirmed to be off, the log
+/// reports it, and the result is [`Fault::OffUnconfirmed`], unless one of these, or a lost link, is
+/// the result. [`DriveReport::disarmed`] shows whether the motor was confirmed to be off.
 #[must_use]
 pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     let fault = match report.outcome.ending {
@@ -23,33 +23,36 @@ pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     if let Err(error) = &report.disarmed {
         let unconfirmed = Fault::OffUnconfirmed;
         tracing::warn!("{unconfirmed}: {error}. {}", unconfirmed.operator_step());
-        if fault.is_none_or(|fault| fault.consequence() == Consequence::TryAgain) {
-            return Some(unconfirmed);
+    }
+    match fault.map(Fault::consequence) {
+        Some(Consequence::Examine | Consequence::End) => fault,
+        _ if is_hardware && has_slept(report) => Some(Fault::ComputerSlept),
+        Some(Consequence::Reconnect) => fault,
+        Some(Consequence::TryAgain) | None if report.disarmed.is_err() => {
+            Some(Fault::OffUnconfirmed)
         }
+        Some(Consequence::TryAgain) | None => fault,
     }
-    if fault.is_some_and(|fault| fault.consequence() != Consequence::TryAgain) {
-        return fault;
-    }
-    if is_hardware && has_slept(&report.last_ticks) {
-        return Some(Fault::ComputerSlept);
-    }
-    fault
 }
 
-/// Returns whether the computer slept between two of these ticks: a tick was late or periods were
-/// skipped because the program stood still, or the device's clock went on while the computer's
-/// clock stood still as well. A device's clock that went back shows a gap of more than half its
-/// range, which is no sleep.
-fn has_slept(ticks: &[TickRecord]) -> bool {
-    let is_long = |us: u64| (SLEEP_US..1 << 31).contains(&us);
-    let skipped = |tick: &TickRecord| u64::from(tick.skipped_periods) * CONTROL_PERIOD_NS / 1000;
-    let late = |tick: &TickRecord| tick.lateness_ns / 1000;
-    let sampled: Vec<u64> = ticks
+/// Returns whether the computer slept during the motion: its clock stood still while it was
+/// suspended, or a tick was late or periods were skipped because the program stood still.
+///
+/// The device's clock shows a pause in which the computer counted no time at all, as that of a
+/// virtual machine. A device's clock that went back shows a gap of more than half its range, which
+/// is no sleep.
+fn has_slept(report: &DriveReport) -> bool {
+    let skipped_us = |tick: &TickRecord| u64::from(tick.skipped_periods) * CONTROL_PERIOD_NS / 1000;
+    let late_us = |tick: &TickRecord| tick.lateness_ns / 1000;
+    let ticks = &report.last_ticks;
+    let sampled_us: Vec<u64> = ticks
         .iter()
         .filter_map(|tick| tick.measurement.map(|sample| sample.device_time_us))
         .collect();
-    ticks.iter().any(|tick| is_long(skipped(tick)) || is_long(late(tick)))
-        || sampled.windows(2).any(|pair| is_long(pair[1].saturating_sub(pair[0])))
+    let went_on = |pair: &[u64]| (SLEEP_US..1 << 31).contains(&pair[1].saturating_sub(pair[0]));
+    report.suspended_ns / 1000 >= SLEEP_US
+        || ticks.iter().any(|tick| skipped_us(tick).max(late_us(tick)) >= SLEEP_US)
+        || sampled_us.windows(2).any(went_on)
 }
 
 #[cfg(test)]
@@ -85,6 +88,7 @@ mod tests {
             outcome,
             last_measurement: None,
             last_ticks: ticks.collect(),
+            suspended_ns: 0,
             disarmed: Ok(()),
         }
     }
@@ -120,6 +124,25 @@ mod tests {
             Some(Fault::WatchdogTripped),
             "a sleep is no fault of an emulated Qube"
         );
+        // No fault of the link and no motor that may be on hides a sleep, however long it was.
+        for ending in
+            [Ending::Completed, Ending::Fault(Fault::LinkGone), Ending::Fault(Fault::DeviceClock)]
+        {
+            for minutes in [1, 40, 600] {
+                let sleep_ns = minutes * 60_000_000_000;
+                let mut late = unconfirmed(ending);
+                late.last_ticks[2].lateness_ns = sleep_ns;
+                let suspended = DriveReport { suspended_ns: sleep_ns, ..report(ending) };
+                for slept in [late, suspended] {
+                    assert_eq!(fault_after(&slept, true), Some(Fault::ComputerSlept), "{minutes}");
+                }
+            }
+        }
+        let doubt = DriveReport {
+            suspended_ns: 60_000_000_000,
+            ..report(Ending::Fault(Fault::EncoderFrozen))
+        };
+        assert_eq!(fault_after(&doubt, true), Some(Fault::EncoderFrozen));
         let mut went_back = report(Ending::Fault(Fault::DeviceClock));
         went_back.last_ticks[2].measurement.as_mut().unwrap().device_time_us += (1 << 32) - 50_000;
         assert_eq!(fault_after(&went_back, true), Some(Fault::DeviceClock));

@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::last_ticks::LastTicks;
 use super::latency::LatencyHistogram;
 use super::{DeviceLoss, Motion, TickInput};
-use crate::clock::Clock;
+use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError};
 use crate::qube::{CONTROL_PERIOD_NS, Measurement};
 use crate::safety::MotorHeat;
@@ -27,8 +27,11 @@ pub struct DriveReport {
     pub outcome: RolloutOutcome,
     /// Last measurement, if there was any.
     pub last_measurement: Option<Measurement>,
-    /// The last second before a fault, oldest tick first; empty without a fault.
+    /// The last second before a fault, oldest tick first; empty without a fault. A motor that is
+    /// not confirmed to be off is a fault, too.
     pub last_ticks: Vec<TickRecord>,
+    /// Time for which the computer was suspended during the motion, ns.
+    pub suspended_ns: Nanoseconds,
     /// `Ok` if the device confirmed that its amplifier is off. If the device has received no
     /// disarm, its watchdog switches the amplifier off; on a board at most 55 ms after the last arm
     /// or act.
@@ -91,6 +94,7 @@ pub fn drive_warm(
     // Held until this function returns, on every way out.
     let _awake = clock.stay_awake();
     let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
+    let suspended_before_ns = clock.suspended_ns();
     device.arm()?;
     let mut deadline_ns = clock.now_ns() + CONTROL_PERIOD_NS;
     let mut skipped_periods = 0;
@@ -181,10 +185,11 @@ pub fn drive_warm(
             sample_to_act_us: sample_to_act.summary(),
         },
         last_measurement: counts.last_measurement,
-        last_ticks: match ending {
-            Ending::Fault(_) => last_ticks.into_ticks(),
+        last_ticks: match (ending, &disarmed) {
+            (Ending::Fault(_), _) | (_, Err(_)) => last_ticks.into_ticks(),
             _ => Vec::new(),
         },
+        suspended_ns: clock.suspended_ns().saturating_sub(suspended_before_ns),
         disarmed,
     })
 }
