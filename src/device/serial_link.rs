@@ -52,6 +52,9 @@ pub struct SerialLink<T: Transport> {
     seen: Seen,
     /// True if opening the port again was attempted since the last successful hello.
     was_reopened: bool,
+    /// True if the device has refused a sample since the last successful hello because it was not
+    /// greeted.
+    was_ungreeted: bool,
     amplifier: AmplifierState,
     device_time: DeviceTime,
     /// Last sample since the last hello, the only one that an act may answer.
@@ -109,6 +112,7 @@ impl<T: Transport> SerialLink<T> {
             has_restarted: false,
             seen: Seen::default(),
             was_reopened: false,
+            was_ungreeted: false,
             amplifier: AmplifierState::Off,
             device_time: DeviceTime::default(),
             last_sample: None,
@@ -304,12 +308,11 @@ impl<T: Transport> SerialLink<T> {
     /// asked to switch it off then.
     fn greet_unless_stopped(&mut self) -> Result<(HelloReply, bool), DeviceError> {
         let Some(boot_id) = self.boot_id else { return Ok((self.greet()?, false)) };
-        let mut needs_hello = false;
         match self.first_answer()? {
             Reply::Sample(sample) => {
                 self.see_stop(sample.status.has(StatusBits::EMERGENCY_STOP));
             }
-            Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => needs_hello = true,
+            Reply::Refusal { reason: RefusalReason::NotGreeted, .. } => self.was_ungreeted = true,
             Reply::Refusal { reason: RefusalReason::QubeAbsent, .. } => {
                 self.seen.qube_off |= !self.was_reopened;
             }
@@ -323,7 +326,7 @@ impl<T: Transport> SerialLink<T> {
             return Err(DeviceError::SwitchedOff { port });
         }
         let reply = self.greet()?;
-        let counts_anew = needs_hello && reply.boot_id == boot_id;
+        let counts_anew = self.was_ungreeted && reply.boot_id == boot_id;
         if counts_anew && !self.was_reopened {
             self.seen.qube_off = true;
             return Err(DeviceError::SwitchedOff { port });
@@ -447,7 +450,7 @@ impl<T: Transport> Device for SerialLink<T> {
     fn hello(&mut self) -> Result<Identity, DeviceError> {
         let (reply, counts_anew) = self.greet_unless_stopped()?;
         let identity = Identity { counts_anew, ..self.accept(&reply)? };
-        self.was_reopened = false;
+        (self.was_reopened, self.was_ungreeted) = (false, false);
         self.boot_id = Some(identity.boot_id);
         self.has_restarted = false;
         Ok(identity)

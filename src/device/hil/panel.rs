@@ -52,6 +52,8 @@ pub(super) struct Panel {
     /// Time from the last sample to the act that answered it, us, until the next sample reports it.
     sample_to_act_us: Option<u32>,
     failed_acts: u32,
+    /// Why the last attempt to switch the amplifier off failed; `None` once one has succeeded.
+    off_failed: Option<HilError>,
 }
 
 impl Panel {
@@ -76,6 +78,7 @@ impl Panel {
             applied_mv: 0,
             sample_to_act_us: None,
             failed_acts: 0,
+            off_failed: None,
         }
     }
 
@@ -261,12 +264,12 @@ impl Panel {
     /// Switches the amplifier off: disables it, writes 0 V, then stops the watchdog. If one of the
     /// two writes fails and the watchdog has expired, clears and starts the watchdog and makes both
     /// writes once more. If a write still fails, starts the watchdog, waits for twice its time
-    /// limit, in which it should switch the amplifier off, and closes the card. Succeeds if no card
-    /// is open.
+    /// limit, in which it should switch the amplifier off, and closes the card. If no card is open,
+    /// the result is that of the last attempt.
     pub(super) fn off(&mut self) -> Result<(), HilError> {
         self.amplifier = AmplifierState::Off;
         self.applied_mv = 0;
-        let Some(card) = &self.card else { return Ok(()) };
+        let Some(card) = &self.card else { return self.off_failed.clone().map_or(Ok(()), Err) };
         let mut off = switched_off(card);
         if off.is_err() && card.watchdog_is_expired() {
             // Clearing may restore the outputs' earlier values and with them drive the motor. So
@@ -278,12 +281,14 @@ impl Panel {
         }
         let Err(failed) = off else {
             let _ = card.watchdog_stop();
+            self.off_failed = None;
             return Ok(());
         };
         let error = card.error(&self.address, failed);
         let _ = card.watchdog_start(WATCHDOG_S);
         self.clock.sleep_until(self.clock.now_ns() + 2 * (WATCHDOG_S * 1e9) as Nanoseconds);
         self.close();
+        self.off_failed = Some(error.clone());
         Err(error)
     }
 

@@ -469,6 +469,58 @@ fn no_hello_clears_an_emergency_stop_that_was_used_while_the_link_was_silent() {
     assert!(clock.now_ns() > 2200 * MS);
 }
 
+/// A wire whose device hears everything and whose answers are lost after this many requests.
+struct MuteWire {
+    wire: InProcessWire,
+    clock: VirtualClock,
+    answered: Option<u32>,
+}
+
+impl Transport for MuteWire {
+    fn read(&mut self, buffer: &mut [u8], deadline_ns: Nanoseconds) -> Result<usize, LinkFault> {
+        let read = self.wire.read(buffer, deadline_ns)?;
+        if self.answered != Some(0) {
+            return Ok(read);
+        }
+        self.clock.sleep_until(deadline_ns);
+        Ok(0)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), LinkFault> {
+        self.wire.write(bytes)?;
+        // The answer to the last request that is answered is read before the next request.
+        self.answered = self.answered.map(|answered| answered.saturating_sub(1));
+        Ok(())
+    }
+
+    fn name(&self) -> &str {
+        "mute wire"
+    }
+
+    fn boot_time_ns(&self) -> Nanoseconds {
+        self.wire.boot_time_ns()
+    }
+}
+
+#[test]
+fn a_qube_that_was_off_is_not_forgotten_where_the_answers_to_a_hello_are_lost() {
+    let fault = Some(EmulatorFault::SwitchedOffAndOn { after_s: 0.5, off_s: 1.0 });
+    let settings = EmulatorSettings { fault, seed: 7, ..EmulatorSettings::default() };
+    let clock = VirtualClock::default();
+    let wire = InProcessWire::new(settings, clock.clone());
+    let wire = MuteWire { wire, clock: clock.clone(), answered: None };
+    let mut link = SerialLink::new(wire, Arc::new(clock.clone()));
+    link.hello().unwrap();
+    clock.sleep_until(2000 * MS);
+    // The refusal of one sample arrives, and no answer to the hellos that follow.
+    link.transport.answered = Some(2);
+    let silent = link.hello().unwrap_err();
+    assert!(matches!(silent, DeviceError::FellSilent { .. }), "{silent:?}");
+    link.transport.answered = None;
+    let refused = link.hello().unwrap_err();
+    assert!(matches!(refused, DeviceError::SwitchedOff { .. }), "{refused:?}");
+}
+
 #[test]
 fn a_qube_that_was_off_while_the_port_was_gone_counts_anew() {
     let fault = EmulatorFault::SwitchedOffAndOn { after_s: 0.5, off_s: 1.0 };
