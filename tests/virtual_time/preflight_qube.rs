@@ -8,10 +8,11 @@ use std::sync::atomic::AtomicBool;
 use qube_hil::clock::{Clock, VirtualClock};
 use qube_hil::control::{HomingMethod, HomingSettings};
 use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
-use qube_hil::device::{Device, SerialLink};
+use qube_hil::device::{Device, DeviceError, Identity, LinkFault, SerialLink};
 use qube_hil::estimation::{Calibration, EstimatorSettings};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::{Examination, ExaminationSettings, OtherSigns, examine};
+use qube_hil::qube::{Measurement, PlantModel};
 use qube_hil::recording::read;
 use qube_hil::rig::{
     Doubt, DoubtStore, QubeFile, Recovery, Rig, RigError, RigSettings, RolloutPlan, UnfinishedCheck,
@@ -124,6 +125,83 @@ fn a_defect_is_named_with_a_remedy_and_the_arm_is_not_homed() {
             );
         }
     }
+}
+
+#[test]
+fn an_amplifier_that_fails_in_the_test_of_the_watchdog_is_not_called_a_motor_that_stays_on() {
+    let mut named = 0;
+    for hundredths in 190..240 {
+        let fault = format!("amplifier@{}", 0.01 * f64::from(hundredths));
+        let mut rig = Rig::connect(&settings(Some(&fault)), &stop()).unwrap();
+        // A board that refuses a hello because of the fault ends the check.
+        let Ok(found) = rig.check(OtherSigns::Fail) else { continue };
+        let failed = found.results.iter().find(|result| result.failed()).unwrap();
+        assert!(!failed.value.contains("still on"), "{hundredths}: {failed:?}");
+        if found.fault == Some(Fault::Amplifier) && failed.name == "watchdog" {
+            assert!(failed.value.contains(&Fault::Amplifier.to_string()), "{failed:?}");
+            named += 1;
+        }
+    }
+    assert!(named > 0, "no fault came while the motor was on");
+}
+
+/// A device that answers this many hellos.
+struct FewHellos<D> {
+    device: D,
+    left: u32,
+}
+
+impl<D: Device> Device for FewHellos<D> {
+    fn hello(&mut self) -> Result<Identity, DeviceError> {
+        match self.left.checked_sub(1) {
+            Some(left) => {
+                self.left = left;
+                self.device.hello()
+            }
+            None => Err(DeviceError::Link { port: "none".into(), fault: LinkFault::Timeout }),
+        }
+    }
+
+    fn arm(&mut self) -> Result<(), DeviceError> {
+        self.device.arm()
+    }
+
+    fn sample(&mut self, deadline_ns: u64) -> Result<Measurement, LinkFault> {
+        self.device.sample(deadline_ns)
+    }
+
+    fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
+        self.device.act(voltage_mv, sampled_at_us)
+    }
+
+    fn disarm(&mut self) -> Result<(), DeviceError> {
+        self.device.disarm()
+    }
+}
+
+#[test]
+fn a_board_that_falls_silent_after_a_push_hides_no_fault_of_that_push() {
+    let fault = EmulatorFault::StuckOutput { after_s: 3.3, voltage_v: 3.0 };
+    let emulator = EmulatorSettings { fault: Some(fault), ..EmulatorSettings::default() };
+    let examined_with = |hellos: u32| {
+        let clock = VirtualClock::default();
+        let device = SerialLink::in_process(emulator, clock.clone());
+        let mut device = FewHellos { device, left: hellos };
+        let settings = ExaminationSettings {
+            signs: Calibration::IDENTITY,
+            other_signs: OtherSigns::Fail,
+            identity: device.hello().unwrap(),
+            plant: PlantModel::QUBE,
+        };
+        let found = examine(&mut device, &clock, &mut MotorHeat::default(), &stop(), &settings);
+        (found, device.left)
+    };
+    let (found, left) = examined_with(100);
+    let fault = found.unwrap().unwrap().fault.unwrap();
+    assert!(fault.leaves_doubt(), "{fault}");
+    // The last hello is not answered.
+    let (found, left) = examined_with(100 - left - 1);
+    assert_eq!((found.unwrap().unwrap().fault, left), (Some(fault), 0));
 }
 
 #[test]

@@ -59,7 +59,7 @@ pub enum OtherSigns {
 pub struct Examination {
     /// Result of each check, in order.
     pub results: Vec<CheckResult>,
-    /// Fault that ended a push, if one did. The caller has to latch it.
+    /// Fault that ended a push or the test of the watchdog, if one did. The caller has to latch it.
     pub fault: Option<Fault>,
     /// Signs that the examination found, if it was to adopt them, arm and pendulum moved, and no
     /// fault ended a push; otherwise the assumed ones.
@@ -126,6 +126,14 @@ pub fn examine(
     // A hello switches off a device that still answers; one whose emergency stop was opened is off.
     let left_off = device.hello();
     match outcome {
+        // The caller latches the fault, whatever the device answers afterwards.
+        Ok(()) if found.fault.is_some_and(Fault::leaves_doubt) => {
+            if let Err(error) = left_off {
+                let unconfirmed = Fault::OffUnconfirmed;
+                tracing::warn!("{unconfirmed}: {error}. {}", unconfirmed.operator_step());
+            }
+            Ok(Some(found))
+        }
         Err(Interruption::Stopped) => left_off.map(|_| None),
         Err(Interruption::Device(error)) => Err(error),
         Ok(()) => left_off.map(|_| Some(found)),
@@ -145,9 +153,10 @@ fn run_checks(
     found.start_theta_counts = round_trips.theta_counts;
     found.results.push(link::latency_timer(&identity.port, &round_trips));
     found.results.push(link::latency(&identity.port, &round_trips));
-    let WatchdogTest { result: watchdog, expired_ms } = watchdog::check(examined)?;
+    let WatchdogTest { result: watchdog, expired_ms, fault } = watchdog::check(examined)?;
     let may_move = !watchdog.failed();
     found.results.push(watchdog);
+    found.fault = fault;
     if !may_move {
         motion::skip(found, "needs a working watchdog");
         return Ok(());

@@ -5,9 +5,9 @@ use super::examined_device::ExaminedDevice;
 use crate::clock::Nanoseconds;
 use crate::control::VOLTAGE_TOLERANCE_MV;
 use crate::device::DeviceError;
-use crate::qube::applied_voltage_mv;
+use crate::qube::{Status, applied_voltage_mv};
 use crate::safety::clamp_to_mv;
-use crate::telemetry::{CheckResult, Hint};
+use crate::telemetry::{CheckResult, Fault, Hint};
 
 pub(super) const NAME: &str = "watchdog";
 
@@ -49,11 +49,25 @@ pub(super) struct WatchdogTest {
     pub result: CheckResult,
     /// Time from the act until the watchdog had expired, ms; `None` if the test failed.
     pub expired_ms: Option<f64>,
+    /// The fault that the device reported, if it switched the motor off before the watchdog could.
+    pub fault: Option<Fault>,
 }
 
 impl WatchdogTest {
     fn failed(value: impl Into<String>, remedy: &str) -> Self {
-        Self { result: CheckResult::fail(NAME, value, remedy), expired_ms: None }
+        Self { result: CheckResult::fail(NAME, value, remedy), expired_ms: None, fault: None }
+    }
+}
+
+/// The fault because of which a device reports that its motor is off; `None` if the status names
+/// none.
+fn reported_fault(status: Status) -> Option<Fault> {
+    if status.emergency_stop {
+        Some(Fault::EmergencyStop)
+    } else if status.amplifier_fault {
+        Some(Fault::Amplifier)
+    } else {
+        status.stall_error.then_some(Fault::StallError)
     }
 }
 
@@ -100,7 +114,7 @@ fn try_once(examined: &mut ExaminedDevice<'_>) -> Result<Option<WatchdogTest>, I
     };
     let failed = |value: String| {
         let result = CheckResult::fail(NAME, value, remedy).with_hint(hint);
-        Ok(Some(WatchdogTest { result, expired_ms: None }))
+        Ok(Some(WatchdogTest { result, expired_ms: None, fault: None }))
     };
     let Some(before) = examined.sample_within(PATIENCE_NS)? else { return Ok(None) };
     let voltage_mv = clamp_to_mv(VOLTAGE_V, VOLTAGE_V).unwrap_or(0);
@@ -147,7 +161,14 @@ fn try_once(examined: &mut ExaminedDevice<'_>) -> Result<Option<WatchdogTest>, I
                 format!("the library reports it expired {ms:.1} ms after the last act")
             };
             let result = CheckResult::pass(NAME, value);
-            return Ok(Some(WatchdogTest { result, expired_ms: Some(ms) }));
+            return Ok(Some(WatchdogTest { result, expired_ms: Some(ms), fault: None }));
+        }
+        if is_off {
+            let Some(fault) = reported_fault(later.status) else { return Ok(None) };
+            let value = format!("the motor went off before the watchdog could act: {fault}");
+            let remedy = format!("{} Then check again", fault.operator_step());
+            let result = CheckResult::fail(NAME, value, remedy);
+            return Ok(Some(WatchdogTest { result, expired_ms: None, fault: Some(fault) }));
         }
         if elapsed_us > latest_us + SAMPLE_AGE_US {
             // The motor does not stay on after this failure: it has 48 mV, and the hello that ends
