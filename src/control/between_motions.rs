@@ -126,6 +126,21 @@ impl RestMonitor {
         Ok(())
     }
 
+    /// Checks, after a motion that [`keep`](Self::keep) does not follow, that a sample does not
+    /// contradict the device, which has confirmed that its motor is off. A missing sample does not.
+    ///
+    /// # Errors
+    /// The sample reports that the device is armed.
+    pub fn check_off(&self, device: &mut dyn Device, clock: &dyn Clock) -> Result<(), DeviceError> {
+        let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
+        match device.sample(clock.now_ns() + sample_time_ns) {
+            Ok(sample) if sample.status.armed => {
+                Err(DeviceError::StaysArmed { port: self.port.clone() })
+            }
+            Ok(_) | Err(_) => Ok(()),
+        }
+    }
+
     /// Checks that arm and pendulum are where they were left, before a rollout arms the device.
     ///
     /// # Errors
@@ -171,8 +186,8 @@ enum NoRest {
     Link(LinkFault),
 }
 
-/// Samples at 100 Hz until arm and pendulum are at rest, for at most [`REST_TIME_NS`] and until
-/// `stop` is set; returns `None` if they are not at rest by then. If the arm is to be still,
+/// Samples at 100 Hz, at least once, until arm and pendulum are at rest, for at most
+/// [`REST_TIME_NS`] and until `stop` is set; returns `None` if they are not at rest by then. If the arm is to be still,
 /// sampling goes on until it is; an arm that is at rest without being still when the time is over
 /// counts as at rest.
 ///
@@ -189,7 +204,7 @@ fn watch_rest(
     let begin_ns = clock.now_ns();
     let mut deadline_ns = begin_ns;
     let mut rest = None;
-    while deadline_ns < begin_ns + REST_TIME_NS && !stop.load(Ordering::Relaxed) {
+    loop {
         match device.sample(clock.now_ns() + sample_time_ns) {
             Ok(sample) if sample.status.armed => return Err(NoRest::Armed),
             Ok(sample) => {
@@ -202,9 +217,11 @@ fn watch_rest(
             Err(_) => {}
         }
         deadline_ns = (deadline_ns + CONTROL_PERIOD_NS).max(clock.now_ns());
+        if deadline_ns >= begin_ns + REST_TIME_NS || stop.load(Ordering::Relaxed) {
+            return Ok(rest);
+        }
         clock.sleep_until(deadline_ns);
     }
-    Ok(rest)
 }
 
 #[cfg(test)]

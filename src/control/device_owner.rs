@@ -22,6 +22,8 @@ pub struct Homed {
     pub rig: Option<MeasuredRig>,
     /// Distance between the stops, rad; `None` unless both were touched.
     pub travel_rad: Option<f64>,
+    /// Count of the arm before homing moved it; `None` if no sample came.
+    pub first_theta_counts: Option<i32>,
 }
 
 /// The owner of the device on the control thread: carries out one motion at a time and keeps the
@@ -115,7 +117,12 @@ impl DeviceOwner {
         };
         let report = self.drive(&mut homing, None)?;
         let report = self.keep_at_rest(report);
-        Ok((report, Homed { rig: homing.measured(), travel_rad: homing.travel_rad() }))
+        let homed = Homed {
+            rig: homing.measured(),
+            travel_rad: homing.travel_rad(),
+            first_theta_counts: homing.first_theta_counts(),
+        };
+        Ok((report, homed))
     }
 
     /// Runs one rollout to its end, and writes a record of each tick to `records`.
@@ -216,15 +223,19 @@ impl DeviceOwner {
 
     /// Watches where arm and pendulum come to rest, after a motion that ends in
     /// [`ControlState::Ready`]. A device whose samples report that its motor is on has not switched
-    /// it off, even if its answer to the disarm said so.
+    /// it off, whatever ended the motion, even if its answer to the disarm said so.
     fn keep_at_rest(&mut self, mut report: DriveReport) -> DriveReport {
-        if self.state == ControlState::Ready {
-            let (last, device) = (report.last_measurement.as_ref(), &mut *self.device);
-            let kept = self.rest_monitor.keep(last, device, &*self.clock, &self.stop);
-            if let Err(stays_armed) = kept {
-                self.state.take(ControlEvent::SwitchOffFault);
-                report.disarmed = Err(stays_armed);
-            }
+        let (last, device) = (report.last_measurement.as_ref(), &mut *self.device);
+        let kept = if self.state == ControlState::Ready {
+            self.rest_monitor.keep(last, device, &*self.clock, &self.stop)
+        } else if report.disarmed.is_ok() {
+            self.rest_monitor.check_off(device, &*self.clock)
+        } else {
+            Ok(())
+        };
+        if let Err(stays_armed) = kept {
+            self.state.take(ControlEvent::SwitchOffFault);
+            report.disarmed = Err(stays_armed);
         }
         report
     }
@@ -234,18 +245,24 @@ impl DeviceOwner {
 mod tests {
     use std::sync::atomic::Ordering;
 
-    use super::super::plant_device::PlantDevice;
+    use super::super::plant_device::{PlantDevice, TestDisarm, TestFault};
     use super::*;
-    use crate::qube::State;
-    use crate::telemetry::Ending;
+    use crate::estimation::{Calibration, EstimatorSettings};
+    use crate::policy::{ClassicalController, ClassicalGains, Policy};
+    use crate::qube::{PlantModel, State, Status};
+    use crate::safety::SafetyBox;
+    use crate::telemetry::{Ending, Fault, TickRules};
 
     #[test]
     fn a_stopped_homing_whose_motor_nobody_confirmed_to_be_off_latches_a_fault() {
-        for (confirms_off, expected) in
-            [(true, ControlState::Identified), (false, ControlState::Faulted)]
-        {
+        for (disarm, expected) in [
+            (TestDisarm::Obeyed, ControlState::Identified),
+            (TestDisarm::Unanswered, ControlState::Faulted),
+            (TestDisarm::Ignored, ControlState::Faulted),
+        ] {
+            let is_off = disarm == TestDisarm::Obeyed;
             let mut device = PlantDevice::new(State::default());
-            device.confirms_off = confirms_off;
+            device.disarm = disarm;
             let (clock, stop) = (Arc::new(device.clock.clone()), Arc::new(AtomicBool::new(false)));
             let mut owner =
                 DeviceOwner::new(Box::new(device), clock, Arc::clone(&stop), Arc::default());
@@ -253,14 +270,48 @@ mod tests {
             stop.store(true, Ordering::Relaxed);
             let (report, _) = owner.home(&HomingSettings::default()).unwrap();
             assert_eq!(report.outcome.ending, Ending::Stopped);
-            assert_eq!(owner.state, expected);
+            assert_eq!((owner.state, report.disarmed.is_ok()), (expected, is_off));
             // A homing after a fault first sees the arm at rest.
             stop.store(false, Ordering::Relaxed);
-            assert_eq!(owner.home(&HomingSettings::default()).is_ok(), confirms_off);
+            assert_eq!(owner.home(&HomingSettings::default()).is_ok(), is_off);
             owner.hello(HelloRetries::default()).unwrap();
-            let greeted =
-                if confirms_off { ControlState::Identified } else { ControlState::Cleared };
-            assert_eq!(owner.state, greeted);
+            let greeted = if is_off { ControlState::Identified } else { ControlState::Cleared };
+            assert!(owner.state == greeted || disarm == TestDisarm::Ignored, "{:?}", owner.state);
+        }
+    }
+
+    #[test]
+    fn samples_that_say_that_the_motor_is_on_are_believed_whatever_ended_the_rollout() {
+        let settings = TickSettings {
+            calibration: Calibration::IDENTITY,
+            estimator: EstimatorSettings::default(),
+            safety_box: SafetyBox::THESIS,
+            max_steps: 100,
+            start_theta_rad: 0.0,
+            stops: None,
+            foresight: None,
+            rules: TickRules::NEWEST,
+            plant: PlantModel::QUBE,
+        };
+        let policy = || Policy::Classical(ClassicalController::new(ClassicalGains::default()));
+        for (stops, fault, expected) in [
+            (false, None, Ending::Completed),
+            (true, None, Ending::Stopped),
+            (false, Some(TestFault::Reports(Status::default())), Ending::Fault(Fault::NotArmed)),
+        ] {
+            let mut device = PlantDevice::new(State::default());
+            device.disturbance = Box::new(move |sample| fault.filter(|_| sample == 70));
+            device.disarm = TestDisarm::Ignored;
+            let (clock, stop) = (Arc::new(device.clock.clone()), Arc::new(AtomicBool::new(false)));
+            let mut owner =
+                DeviceOwner::new(Box::new(device), clock, Arc::clone(&stop), Arc::default());
+            stop.store(stops, Ordering::Relaxed);
+            let report = owner.drive(&mut Tick::new(&settings, policy()), None).unwrap();
+            assert!(report.disarmed.is_ok());
+            let report = owner.keep_at_rest(report);
+            assert_eq!(report.outcome.ending, expected);
+            assert!(matches!(report.disarmed, Err(DeviceError::StaysArmed { .. })), "{expected:?}");
+            assert_eq!(owner.state, ControlState::Faulted);
         }
     }
 }

@@ -9,7 +9,7 @@ use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, LEAD_RAD_S};
 use super::stop_seek::{HardStops, StopSeek};
 use super::voltage_watch::VoltageWatch;
-use super::watch::{Alarm, Watch};
+use super::watch::{Alarm, Watch, most_urgent};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, MeasuredRig, MeasuredStops};
 use crate::qube::{Encoder, Encoders, Measurement, State};
@@ -151,6 +151,12 @@ impl Homing {
     #[must_use]
     pub fn travel_rad(&self) -> Option<f64> {
         self.stops_rad.map(|(lowest_rad, highest_rad)| highest_rad - lowest_rad)
+    }
+
+    /// Count of the arm in the first sample; `None` before it.
+    #[must_use]
+    pub fn first_theta_counts(&self) -> Option<i32> {
+        self.estimator.as_ref().map(|_| self.provisional.theta_zero_counts)
     }
 
     fn estimate(&mut self, measurement: &Measurement) -> State {
@@ -383,7 +389,14 @@ impl Homing {
         TickOutput { wanted_v, ending, ..TickOutput::settling(self.state, self.voltage_mv) }
     }
 
+    /// Switches the amplifier off. A fault that was found before the arm was led off a stop stays
+    /// the ending, unless another fault that leaves a doubt follows.
     fn off(&mut self, ending: Ending) -> TickOutput {
+        let ending = match (self.stage, ending) {
+            (Stage::LeaveStop(_), Ending::Fault(fault)) if fault.leaves_doubt() => ending,
+            (Stage::LeaveStop(leaving_stop), _) => Ending::Fault(leaving_stop.fault()),
+            _ => ending,
+        };
         self.control.take(match ending {
             Ending::Fault(_) => ControlEvent::SwitchOffFault,
             Ending::Stopped => ControlEvent::Stop,
@@ -428,11 +441,9 @@ impl Motion for Homing {
         // The arm is slow here, so the amplifier can go off at once, even after a fault that would
         // brake a rollout.
         let differs = self.voltage.watch(self.device_mv(self.voltage_mv), input);
-        let watched = self.watch.check(input).or(differs);
-        let watched = watched.map(|(Alarm::SwitchOff(fault) | Alarm::Brake(fault))| fault);
-        let fault = watched
-            .or_else(|| input.measurement.as_ref().and_then(|sample| self.sensor_fault(sample)));
-        if let Some(fault) = fault {
+        let sensors = input.measurement.as_ref().and_then(|sample| self.sensor_fault(sample));
+        let alarms = [self.watch.check(input), differs, sensors.map(Alarm::SwitchOff)];
+        if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = most_urgent(alarms) {
             return self.off(Ending::Fault(fault));
         }
         if input.stop_requested {

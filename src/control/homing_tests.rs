@@ -1,9 +1,10 @@
-use std::sync::atomic::AtomicBool;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::plant_device::{PlantDevice, TestFault};
 use super::{Homing, HomingMethod, HomingSettings, Motion, TickInput, drive};
 use crate::estimation::Calibration;
-use crate::qube::{COUNTS_PER_REVOLUTION, Measurement, State, counts};
+use crate::qube::{COUNTS_PER_REVOLUTION, Measurement, State, Status, counts};
 use crate::telemetry::{Ending, Fault};
 
 fn home(device: &mut PlantDevice, settings: &HomingSettings) -> (Ending, Option<Calibration>) {
@@ -148,4 +149,37 @@ fn a_lost_link_ends_homing() {
     device.disturbance = Box::new(|tick| (tick > 50).then_some(TestFault::Lost));
     let (ending, found) = home(&mut device, &HomingSettings::default());
     assert_eq!((ending, found), (Ending::Fault(Fault::NoSample), None));
+}
+
+#[test]
+fn nothing_that_happens_while_the_arm_leaves_a_stop_hides_the_fault_that_was_found_there() {
+    // The stops are farther apart than the operator has accepted.
+    let settings = HomingSettings { travel_rad: Some(3.9), ..HomingSettings::default() };
+    let ending_of = |disturbance: Box<dyn Fn(u32) -> Option<TestFault> + Send>| {
+        let mut device = PlantDevice::new(State::default());
+        device.disturbance = disturbance;
+        let (ending, _) = home(&mut device, &settings);
+        (ending, device.voltages_mv.len() as u32)
+    };
+    let (undisturbed, acts) = ending_of(Box::new(|_| None));
+    assert_eq!(undisturbed, Ending::Fault(Fault::TravelWrong));
+    let until = acts - 20;
+    for trouble in [TestFault::Lost, TestFault::Gone, TestFault::Slow(40_000_000)] {
+        let (ending, _) = ending_of(Box::new(move |sample| (sample > until).then_some(trouble)));
+        assert_eq!(ending, Ending::Fault(Fault::TravelWrong), "{trouble:?}");
+    }
+    // A fault that leaves a doubt itself is the newer knowledge.
+    let stopped = Status { armed: true, emergency_stop: true, ..Status::default() };
+    let pressed = move |sample| (sample > until).then_some(TestFault::Reports(stopped));
+    assert_eq!(ending_of(Box::new(pressed)).0, Ending::Fault(Fault::EmergencyStop));
+    // An interrupt does not hide it either.
+    let mut device = PlantDevice::new(State::default());
+    let (clock, stop) = (device.clock.clone(), Arc::new(AtomicBool::new(false)));
+    let interrupt = Arc::clone(&stop);
+    device.disturbance = Box::new(move |sample| {
+        interrupt.store(sample > until, Ordering::Relaxed);
+        None
+    });
+    let report = drive(&mut device, &clock, &mut Homing::new(&settings), None, &stop).unwrap();
+    assert_eq!(report.outcome.ending, Ending::Fault(Fault::TravelWrong));
 }

@@ -128,6 +128,11 @@ impl LeavingStop {
         Self { fault, from_rad, place_rad, ticks: 0 }
     }
 
+    /// The fault after which the arm leaves the stop.
+    pub fn fault(&self) -> Fault {
+        self.fault
+    }
+
     /// Target angle, rad.
     pub fn place_rad(&self) -> f64 {
         self.place_rad

@@ -19,6 +19,19 @@ pub enum TestFault {
     Slow(u64),
     /// The device reports this status.
     Reports(Status),
+    /// The device reports the arm's last count and no velocity of it.
+    FrozenArm,
+}
+
+/// The way in which the device answers a disarm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TestDisarm {
+    /// Its motor is off, and the device confirms it.
+    Obeyed,
+    /// Its motor is off, and no answer comes.
+    Unanswered,
+    /// The device confirms that its motor is off, although it stays on.
+    Ignored,
 }
 
 /// A nominal Qube between two hard stops, simulated up to the time of `clock` with each sample, act
@@ -35,8 +48,8 @@ pub struct PlantDevice {
     pub armed: bool,
     /// Voltage of an armed motor that ignores all acts, mV; `None` if the motor follows the acts.
     pub stuck_mv: Option<i16>,
-    /// True if the device confirms that its motor is off.
-    pub confirms_off: bool,
+    /// Its answer to a disarm.
+    pub disarm: TestDisarm,
     /// Voltages of all acts, mV.
     pub voltages_mv: Vec<i16>,
     /// Largest distance of the arm from the middle so far, rad.
@@ -49,6 +62,8 @@ pub struct PlantDevice {
     simulated_ns: Nanoseconds,
     voltage_mv: i16,
     samples: u32,
+    /// Count of the arm in the last sample.
+    theta_counts: i32,
 }
 
 impl PlantDevice {
@@ -61,7 +76,7 @@ impl PlantDevice {
             offset_counts: 0,
             armed: false,
             stuck_mv: None,
-            confirms_off: true,
+            disarm: TestDisarm::Obeyed,
             voltages_mv: Vec::new(),
             furthest_rad: 0.0,
             deaf_until_ns: 0,
@@ -70,6 +85,7 @@ impl PlantDevice {
             simulated_ns: 0,
             voltage_mv: 0,
             samples: 0,
+            theta_counts: 0,
         }
     }
 
@@ -126,6 +142,8 @@ impl Device for PlantDevice {
         self.samples += 1;
         (self.blow)(tick, &mut self.state);
         let mut status = Status { armed: self.armed, ..Status::default() };
+        let mut tachometer_counts_s = (self.state.theta_dot / RAD_PER_COUNT) as i32;
+        let mut theta_counts = counts(self.state.theta) + self.offset_counts;
         match (self.disturbance)(tick) {
             Some(TestFault::Lost) => {
                 self.clock.sleep_until(deadline_ns);
@@ -134,14 +152,18 @@ impl Device for PlantDevice {
             Some(TestFault::Gone) => return Err(LinkFault::Gone),
             Some(TestFault::Slow(duration_ns)) => self.clock.advance(duration_ns),
             Some(TestFault::Reports(reported)) => status = reported,
+            Some(TestFault::FrozenArm) => {
+                (theta_counts, tachometer_counts_s) = (self.theta_counts, 0);
+            }
             None => {}
         }
+        self.theta_counts = theta_counts;
         Ok(Measurement {
             device_time_us: self.simulated_ns / 1000,
-            theta_counts: counts(self.state.theta) + self.offset_counts,
+            theta_counts,
             alpha_counts: counts(self.state.alpha) + self.offset_counts,
             status,
-            tachometer_counts_s: (self.state.theta_dot / RAD_PER_COUNT) as i32,
+            tachometer_counts_s,
             applied_mv: self.voltage_mv,
             current_a: self.current_a(),
             ..Measurement::default()
@@ -157,12 +179,16 @@ impl Device for PlantDevice {
 
     fn disarm(&mut self) -> Result<(), DeviceError> {
         self.catch_up();
+        if self.disarm == TestDisarm::Ignored {
+            return Ok(());
+        }
         self.armed = false;
         self.voltage_mv = 0;
-        if self.confirms_off {
-            Ok(())
-        } else {
-            Err(DeviceError::Link { port: "none".into(), fault: LinkFault::Timeout })
+        match self.disarm {
+            TestDisarm::Unanswered => {
+                Err(DeviceError::Link { port: "none".into(), fault: LinkFault::Timeout })
+            }
+            TestDisarm::Obeyed | TestDisarm::Ignored => Ok(()),
         }
     }
 

@@ -1,6 +1,6 @@
 use super::rest::STOPPED_RAD_S;
 use super::voltage_watch::VoltageWatch;
-use super::watch::{Alarm, Watch};
+use super::watch::{Alarm, Watch, most_urgent};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::{Encoders, PlantModel, State};
@@ -317,7 +317,7 @@ impl SignProbe {
 impl Motion for SignProbe {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         let differs = self.voltage.watch(self.device_mv(self.voltage_mv), input);
-        let alarm = self.watch.check(input).or(differs);
+        let alarm = most_urgent([self.watch.check(input), differs]);
         if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = alarm {
             return self.off(Ending::Fault(fault));
         }

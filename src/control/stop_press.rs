@@ -1,5 +1,5 @@
 use super::voltage_watch::VoltageWatch;
-use super::watch::{Alarm, Watch};
+use super::watch::{Alarm, Watch, most_urgent};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::{PlantModel, State};
@@ -167,7 +167,7 @@ impl Motion for StopPress {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
         self.ticks += 1 + input.skipped_periods;
         let differs = self.voltage.watch(self.device_mv(self.voltage_mv), input);
-        let alarm = self.watch.check(input).or(differs);
+        let alarm = most_urgent([self.watch.check(input), differs]);
         if let Some(Alarm::SwitchOff(fault) | Alarm::Brake(fault)) = alarm {
             return self.off(Ending::Fault(fault));
         }

@@ -6,7 +6,7 @@ use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
 use super::slowness::SlownessWatch;
 use super::voltage_watch::VoltageWatch;
-use super::watch::{Alarm, Watch};
+use super::watch::{Alarm, Watch, most_urgent};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::elementary::Scalar;
 use crate::estimation::{Estimates, Estimator};
@@ -232,7 +232,12 @@ impl<C: Controller> Tick<C> {
             && self.settings.rules >= TickRules::SlownessTested;
         let slow = is_slow.then_some(Alarm::Brake(Fault::TooLate));
         let link = self.watch.check(input).or(slow);
-        most_urgent([link, voltage, sensors, unanswered], self.settings.rules)
+        let alarms = [link, voltage, sensors, unanswered];
+        if self.settings.rules >= TickRules::FaultsFirst {
+            most_urgent(alarms)
+        } else {
+            alarms.into_iter().flatten().next()
+        }
     }
 
     /// Applies the event that an alarm causes in this phase. Returns whether the amplifier goes
@@ -251,7 +256,11 @@ impl<C: Controller> Tick<C> {
                 self.take(ControlEvent::SwitchOffFault, self.reason)
             }
             Alarm::SwitchOff(fault) => {
-                self.take(ControlEvent::SwitchOffFault, Ending::Fault(fault))
+                let is_kept = self.settings.rules >= TickRules::DoubtKept
+                    && self.latched_fault().is_some_and(Fault::leaves_doubt)
+                    && !fault.leaves_doubt();
+                let reason = if is_kept { self.reason } else { Ending::Fault(fault) };
+                self.take(ControlEvent::SwitchOffFault, reason)
             }
             // A sound motor overheats because of the policy: the policy has left a limit, and
             // nothing is at fault.
@@ -423,17 +432,6 @@ impl<C: Controller> Tick<C> {
             ending: None,
         }
     }
-}
-
-/// The alarm to act on: the first that switches the motor off at once, otherwise the first of all.
-/// An overheated motor or a late computer gives an alarm in each tick, also while the brake works,
-/// and must not hide a fault of the arm. By the rules before [`TickRules::FaultsFirst`], the alarm
-/// to act on is always the first of all.
-fn most_urgent(alarms: [Option<Alarm>; 4], rules: TickRules) -> Option<Alarm> {
-    let mut given = alarms.into_iter().flatten();
-    let switches_off =
-        |alarm: &Alarm| rules >= TickRules::FaultsFirst && matches!(alarm, Alarm::SwitchOff(_));
-    given.clone().find(switches_off).or_else(|| given.next())
 }
 
 /// The brake of a rollout whose arm has a count that can be trusted, before its first period.

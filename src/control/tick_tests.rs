@@ -389,6 +389,31 @@ fn faults_of_link_and_machine_switch_off_without_another_act() {
 }
 
 #[test]
+fn a_link_that_is_lost_while_the_arm_is_damped_does_not_hide_the_doubt() {
+    let rollout = |rules, lost_at: u32| {
+        let mut device = PlantDevice::new(State::default());
+        device.disturbance = Box::new(move |sample| match sample {
+            _ if sample == lost_at => Some(TestFault::Gone),
+            150.. => Some(TestFault::FrozenArm),
+            _ => None,
+        });
+        let settings = TickSettings { rules, ..settings() };
+        rollout_until(&mut device, &settings, classical(), &AtomicBool::new(false))
+    };
+    let (report, records) = rollout(TickRules::NEWEST, u32::MAX);
+    assert_eq!(report.outcome.ending, Ending::Fault(Fault::EncoderFrozen));
+    let damped_at = records.iter().position(|record| record.phase == Phase::Braking).unwrap();
+    assert!(records.len() > damped_at + 4, "the arm is not damped");
+    for (rules, expected) in
+        [(TickRules::NEWEST, Fault::EncoderFrozen), (TickRules::VoltageCompared, Fault::LinkGone)]
+    {
+        let (report, records) = rollout(rules, damped_at as u32 + 2);
+        assert_eq!(report.outcome.ending, Ending::Fault(expected), "{rules:?}");
+        assert_eq!(records.len(), damped_at + 3);
+    }
+}
+
+#[test]
 fn an_overheated_motor_hides_no_fault_of_the_arm() {
     // The motor stays too hot while the brake works, and the arm's count jumps by 2 rad.
     for jump_at in [10, 11] {

@@ -40,6 +40,14 @@ pub enum Alarm {
     Brake(Fault),
 }
 
+/// The alarm of one tick to act on: the first that switches the motor off at once, otherwise the
+/// first of all. An overheated motor or a late computer gives an alarm in each tick, also while the
+/// brake works, and must not hide a fault of the arm.
+pub fn most_urgent<const N: usize>(alarms: [Option<Alarm>; N]) -> Option<Alarm> {
+    let mut given = alarms.into_iter().flatten();
+    given.clone().find(|alarm| matches!(alarm, Alarm::SwitchOff(_))).or_else(|| given.next())
+}
+
 /// Checks link, timing and the device's status flags, for every kind of motion.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Watch {

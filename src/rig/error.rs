@@ -9,7 +9,7 @@ use crate::preflight::TooSlow;
 use crate::qube::PlantError;
 use crate::recording::RecordingError;
 use crate::safety::HardwareRefusal;
-use crate::telemetry::{CheckResult, Consequence, Fault, MotorState, TickRecord};
+use crate::telemetry::{CheckResult, Fault, MotorState, TickRecord};
 
 /// The reason why a setting of a rig cannot be used.
 #[derive(Debug, Error)]
@@ -312,12 +312,9 @@ impl RigError {
 
     /// The fault of this error, if the program may repeat the motion without the operator.
     pub(super) fn passing_fault(&self) -> Option<Fault> {
-        let may_pass = |fault: &Fault| {
-            matches!(fault.consequence(), Consequence::TryAgain | Consequence::Reconnect)
-        };
         match self {
             Self::Homing { .. } | Self::Device(_) | Self::NotBegun { .. } => {
-                self.fault().filter(may_pass)
+                self.fault().filter(|fault| fault.is_passing())
             }
             _ => None,
         }

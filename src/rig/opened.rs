@@ -371,13 +371,13 @@ impl Rig {
         let identity = match self.control.hello_until_answered(HelloRetries { pause_ns, limit_ns })
         {
             Ok(identity) => identity,
-            Err(ControlError::Device(_)) if self.stop.load(Ordering::Relaxed) => {
-                return Err(RigError::Stopped { during: "the wait for the link" });
-            }
             Err(ControlError::Device(source))
                 if link_fault(&source).is_some_and(Fault::leaves_doubt) =>
             {
                 return Err(self.in_doubt(source));
+            }
+            Err(ControlError::Device(_)) if self.stop.load(Ordering::Relaxed) => {
+                return Err(RigError::Stopped { during: "the wait for the link" });
             }
             Err(ControlError::Device(source)) => {
                 return Err(RigError::LinkLost {
@@ -509,6 +509,12 @@ impl Rig {
                 })
             }
             (Some(fault), _) => {
+                // Homing is repeated after a fault that shows no defect of the Qube; by then the
+                // arm may have left the place to which a hand had brought it.
+                if fault.is_passing() && homing.method == HomingMethod::Hand {
+                    let hand_counts = homing.hand_counts.or(found.first_theta_counts);
+                    self.homing.set(HomingSettings { hand_counts, ..homing });
+                }
                 let motor = self.motor.get();
                 let doubt = fault.leaves_doubt().then(|| Box::new(self.doubt(fault)));
                 Err(RigError::Homing { fault, motor, doubt, last_ticks: report.last_ticks })

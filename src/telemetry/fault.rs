@@ -258,6 +258,13 @@ impl Fault {
         )
     }
 
+    /// Returns whether the program may repeat the motion after this fault without the operator,
+    /// because only the link or the computer failed.
+    #[must_use]
+    pub fn is_passing(self) -> bool {
+        matches!(self.consequence(), Consequence::TryAgain | Consequence::Reconnect)
+    }
+
     /// Returns whether the fault leaves a sensor or the motor in doubt.
     #[must_use]
     pub fn leaves_doubt(self) -> bool {

@@ -89,11 +89,14 @@ pub enum TickRules {
     /// Adds the faults of a device that reports another voltage at its motor than it was sent, and
     /// of an arm that is fast after a second of braking.
     VoltageCompared,
+    /// Keeps a fault that leaves a doubt as the ending if another fault, which leaves none, switches
+    /// the motor off while the arm is still damped or braked.
+    DoubtKept,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::VoltageCompared;
+    pub const NEWEST: Self = Self::DoubtKept;
 }
 
 /// The record that precedes a rollout.

@@ -12,6 +12,7 @@ use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, DeviceError, InProcessWire, LinkFault, SerialLink, Transport};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::preflight::OtherSigns;
+use qube_hil::recording;
 use qube_hil::rig::{Connect, DeviceChoice, Rig, RigError, RigSettings, RolloutPlan, TimedDevice};
 use qube_hil::safety::SafetyBox;
 use qube_hil::scoring::{Verdict, VoidReason, score};
@@ -264,6 +265,50 @@ fn a_restart_of_the_board_loses_the_middle_of_a_homing_by_hand() {
     let error = rig.start_again().unwrap_err();
     assert!(matches!(error, RigError::MiddleLost { .. }), "{error}");
     assert!(error.to_string().contains("Put the arm into the middle"), "{error}");
+}
+
+#[test]
+fn a_repeated_homing_by_hand_keeps_the_place_to_which_the_hand_brought_the_arm() {
+    let directory = tempfile::tempdir().unwrap();
+    let homed = |trouble, from_s: f64, number: u32| {
+        let clock = VirtualClock::default();
+        let rig = Rig::open(&settings(&clock, trouble, from_s, from_s + 0.1), &stop()).unwrap();
+        let homed_s = clock.now_ns() as f64 * 1e-9;
+        let path = directory.path().join(format!("{number}.mcap"));
+        // A trouble after homing keeps the rollout from beginning.
+        rollout(&rig, &path).ok()?;
+        let recorded = recording::read(&path).unwrap();
+        Some((recorded.header.settings.calibration.theta_zero_counts, homed_s))
+    };
+    let (undisturbed, homed_s) = homed(Trouble::Late(0), 0.0, 0).unwrap();
+    // Homing pushes the arm after a second or two; its repetition begins where the trouble left it.
+    let mut repeated = 0;
+    for number in 1..80 {
+        let from_s = 0.1 * f64::from(number);
+        let Some((found, later_s)) = homed(Trouble::Gone, from_s, number) else { continue };
+        assert!((found - undisturbed).abs() <= 3, "{from_s} s: {found} and {undisturbed}");
+        repeated += u32::from(later_s > homed_s + 0.5);
+    }
+    assert!(repeated > 10, "only {repeated} homings were repeated");
+}
+
+#[test]
+fn a_stop_request_hides_no_emergency_stop() {
+    let directory = tempfile::tempdir().unwrap();
+    let (clock, stop) = (VirtualClock::default(), stop());
+    let pressed = EmulatorSettings {
+        fault: Some(EmulatorFault::EmergencyStop { after_s: 60.0 }),
+        seed: 3,
+        ..EmulatorSettings::default()
+    };
+    let settings =
+        RigSettings { emulator: pressed, ..settings(&clock, Trouble::Late(0), 0.0, 0.0) };
+    let mut rig = Rig::open(&settings, &stop).unwrap();
+    rollout(&rig, &directory.path().join("before.mcap")).unwrap();
+    clock.sleep_until(60_500 * MS);
+    stop.store(true, Ordering::Relaxed);
+    let error = rig.start_again().unwrap_err();
+    assert!(matches!(error, RigError::InDoubt(_)), "{error}");
 }
 
 #[test]
