@@ -26,21 +26,6 @@ pub trait Strategy: Send {
     /// # Errors
     /// The data is empty, or [`Strategy::propose`] would fail on it.
     fn best(&self, data: &[Observation]) -> Result<Best, SearchError>;
-
-    /// The largest expected improvement of one more point, maximised over the box: the expectation
-    /// of the amount, at least 0, by which the point's true return exceeds the best return so far.
-    /// That is `known` if it is given, and otherwise the largest true return at a point of the
-    /// data. `None` for a strategy without a surrogate.
-    ///
-    /// # Errors
-    /// [`Strategy::best`] would fail on the data.
-    fn expected_improvement(
-        &self,
-        _data: &[Observation],
-        _known: Option<f64>,
-    ) -> Result<Option<f64>, SearchError> {
-        Ok(None)
-    }
 }
 
 /// The recommendation of a strategy.

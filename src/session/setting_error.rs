@@ -6,7 +6,7 @@ use crate::estimation::SettingsError;
 use crate::learning::TrainError;
 use crate::qube::ModelError;
 use crate::safety::HardwareRefusal;
-use crate::search::SearchError;
+use crate::search::{SearchError, StrategyKind};
 use crate::simulation::{Model, PsiError, box_file};
 
 /// Advice when a session cannot be resumed, because its settings are of an earlier version.
@@ -65,6 +65,18 @@ pub enum SettingError {
     /// A setting of the training is refused.
     #[error("{}", of_training(.0))]
     Training(#[source] TrainError),
+    /// The session identifies its Qube, and its strategy has no surrogate, whose expected
+    /// improvement decides when a search around an identified Qube ends.
+    #[error(
+        "strategy = \"{strategy}\": a search around an identified Qube ends when its surrogate expects too little gain, \
+         and only \"{}\" has a surrogate: give strategy = \"{}\", or search without an identification",
+        StrategyKind::BayRn,
+        StrategyKind::BayRn
+    )]
+    NoSurrogate {
+        /// Strategy without a surrogate.
+        strategy: StrategyKind,
+    },
     /// The search cannot begin.
     #[error("{}", of_search(.0))]
     Search(#[source] SearchError),

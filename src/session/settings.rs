@@ -199,7 +199,15 @@ impl SessionSettings {
         if self.strategy != StrategyKind::BayRn {
             return Ok(None);
         }
-        BayRn::new(self.search_box()?, self.bayrn(), self.seed)?.surrogate(data).map(Some)
+        self.bayesian_search()?.surrogate(data).map(Some)
+    }
+
+    /// The search by BayRn, whose surrogate also estimates the gain of one more candidate.
+    ///
+    /// # Errors
+    /// The settings are invalid for BayRn.
+    pub(super) fn bayesian_search(&self) -> Result<BayRn, SearchError> {
+        BayRn::new(self.search_box()?, self.bayrn(), self.seed)
     }
 
     fn search_box(&self) -> Result<SearchBox, SearchError> {

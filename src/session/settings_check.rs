@@ -5,6 +5,7 @@ use toml::{Table, Value};
 use super::{SessionSettings, SettingError};
 use crate::qube::MAX_STEPS;
 use crate::safety::SafetyBox;
+use crate::search::StrategyKind;
 use crate::simulation::{ProfileSettings, PsiError, PsiTarget, SensorModel};
 
 impl SessionSettings {
@@ -42,6 +43,7 @@ impl SessionSettings {
         }
         if let Some(identification) = &self.identification {
             identification.check()?;
+            self.check_around_identified()?;
         }
         self.emulated.check().map_err(SettingError::Emulated)?;
         for (rig, settings) in (1..).zip(&self.rigs) {
@@ -53,6 +55,14 @@ impl SessionSettings {
         // The checks above cover the ranges of single settings. This one bounds the numbers that
         // are not integers, also of settings without a range of their own.
         Table::try_from(self).map_or(Ok(()), |all| check_numbers("", &Value::Table(all)))
+    }
+
+    /// Checks the settings on which the end of a search around an identified Qube depends.
+    fn check_around_identified(&self) -> Result<(), SettingError> {
+        if self.strategy != StrategyKind::BayRn {
+            return Err(SettingError::NoSurrogate { strategy: self.strategy });
+        }
+        Ok(())
     }
 
     /// Checks the limits of both boxes and the settings of homing: each must be valid, and no limit
@@ -129,6 +139,18 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::session::IdentificationSettings;
+
+    #[test]
+    fn only_a_strategy_with_a_surrogate_may_search_around_an_identified_qube() {
+        for strategy in StrategyKind::ALL {
+            let unidentified = SessionSettings { strategy, ..SessionSettings::quick() };
+            assert!(unidentified.check().is_ok(), "{strategy}");
+            let identification = Some(IdentificationSettings::DEFAULT);
+            let identified = SessionSettings { identification, ..unidentified };
+            assert_eq!(identified.check().is_ok(), strategy == StrategyKind::BayRn, "{strategy}");
+        }
+    }
 
     #[test]
     fn an_invalid_value_is_named() {
@@ -138,6 +160,10 @@ mod tests {
             ("[extent]\nrollouts = 0\n", "extent.rollouts"),
             ("model = \"opt-profile\"\n", "[profile]"),
             ("model = \"nominal\"\n", "nominal has no psi to search"),
+            (
+                "strategy = \"cem\"\n[identification]\ncandidates = 2\n",
+                "my.toml, line 1: strategy = \"cem\"",
+            ),
             ("preset = \"fast\"\n", "fast"),
             ("[[psi]]\nname = \"mean_M_x\"\n", "mean_M_x"),
             ("psi = []\n", "no entry"),

@@ -275,8 +275,10 @@ impl Session {
         if observations.len() as u32 >= INITIAL_AROUND {
             let is_without_psi = verification.is_some_and(|it| it.model_without_psi.is_some());
             let known = is_without_psi.then_some(verified);
-            let search = self.settings.search()?;
-            return Ok(search.expected_improvement(&observations, known)?.unwrap_or(0.0));
+            return Ok(self
+                .settings
+                .bayesian_search()?
+                .expected_improvement(&observations, known)?);
         }
         let mut simulated = 0.0_f64;
         for it in scored.iter().filter(|it| it.candidate.purpose.is_searched()) {
