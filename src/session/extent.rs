@@ -18,7 +18,9 @@ pub struct Extent {
     #[serde(default)]
     pub verifies_incumbent: bool,
     /// Largest number of steps of a rollout under a candidate's policy, 10 ms each; the thesis uses
-    /// 600.
+    /// 600, and a search around an identified Qube needs as many. A shorter rollout succeeds from
+    /// the same return ([`SUCCESS_RETURN`](crate::scoring::criterion::SUCCESS_RETURN)), at most 1 a
+    /// step.
     pub steps: u32,
     /// Number of times that one rollout is repeated because it was void. If it is void once more,
     /// the session stops or, if other rigs share it, goes on without the rig.

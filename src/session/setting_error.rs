@@ -4,8 +4,9 @@ use super::EmulatedQubeError;
 use crate::control::HomingSettingsError;
 use crate::estimation::SettingsError;
 use crate::learning::TrainError;
-use crate::qube::ModelError;
+use crate::qube::{MAX_STEPS, ModelError};
 use crate::safety::HardwareRefusal;
+use crate::scoring::criterion::SUCCESS_RETURN;
 use crate::search::{SearchError, StrategyKind};
 use crate::simulation::{Model, PsiError, box_file};
 
@@ -76,6 +77,16 @@ pub enum SettingError {
     NoSurrogate {
         /// Strategy without a surrogate.
         strategy: StrategyKind,
+    },
+    /// The session identifies its Qube, and its rollouts are shorter than the simulations with
+    /// which they are compared.
+    #[error(
+        "extent.steps = {steps}: a search around an identified Qube waits for returns of {SUCCESS_RETURN} or more and \
+         compares them with simulations of {MAX_STEPS} steps: give {MAX_STEPS}, or search without an identification"
+    )]
+    ShortRollouts {
+        /// Number of steps of a rollout.
+        steps: u32,
     },
     /// The search cannot begin.
     #[error("{}", of_search(.0))]

@@ -62,7 +62,10 @@ impl SessionSettings {
         if self.strategy != StrategyKind::BayRn {
             return Err(SettingError::NoSurrogate { strategy: self.strategy });
         }
-        Ok(())
+        match self.extent.steps {
+            steps if steps < MAX_STEPS as u32 => Err(SettingError::ShortRollouts { steps }),
+            _ => Ok(()),
+        }
     }
 
     /// Checks the limits of both boxes and the settings of homing: each must be valid, and no limit
@@ -139,7 +142,19 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::session::IdentificationSettings;
+    use crate::session::{Extent, IdentificationSettings};
+
+    #[test]
+    fn rollouts_around_an_identified_qube_are_as_long_as_simulations() {
+        for (steps, is_long_enough) in [(300, false), (599, false), (600, true)] {
+            let extent = Extent { steps, ..Extent::QUICK };
+            let unidentified = SessionSettings { extent, ..SessionSettings::quick() };
+            assert!(unidentified.check().is_ok(), "{steps}");
+            let identification = Some(IdentificationSettings::DEFAULT);
+            let identified = SessionSettings { identification, ..unidentified };
+            assert_eq!(identified.check().is_ok(), is_long_enough, "{steps}");
+        }
+    }
 
     #[test]
     fn only_a_strategy_with_a_surrogate_may_search_around_an_identified_qube() {
@@ -160,6 +175,10 @@ mod tests {
             ("[extent]\nrollouts = 0\n", "extent.rollouts"),
             ("model = \"opt-profile\"\n", "[profile]"),
             ("model = \"nominal\"\n", "nominal has no psi to search"),
+            (
+                "[extent]\nsteps = 599\n[identification]\ncandidates = 2\n",
+                "my.toml, line 2: extent.steps = 599",
+            ),
             (
                 "strategy = \"cem\"\n[identification]\ncandidates = 2\n",
                 "my.toml, line 1: strategy = \"cem\"",
