@@ -21,6 +21,12 @@ pub enum SeedFor {
         /// Number of the candidate or of the policy, or number of recordings.
         candidate: u32,
     },
+    /// Simulations that estimate the return of a candidate's policy, other than those in which the
+    /// policy was chosen.
+    Estimate {
+        /// Number of the candidate.
+        candidate: u32,
+    },
     /// Emulated Qube of one attempt at one rollout, under virtual time.
     Emulator {
         /// Number of the candidate, or of the policy in an experiment.
@@ -78,6 +84,7 @@ fn stream(purpose: SeedFor) -> u64 {
     match purpose {
         SeedFor::Training { candidate, training } => number(2, candidate, training, 0),
         SeedFor::Evaluation { candidate } => number(7, candidate, 0, 0),
+        SeedFor::Estimate { candidate } => number(10, candidate, 0, 0),
         SeedFor::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
         SeedFor::Search => number(4, 0, 0, 0),
         SeedFor::Qube { policy, plant } => number(5, policy, plant, 0),
@@ -105,6 +112,7 @@ mod tests {
         let mut purposes = vec![SeedFor::Search];
         for candidate in 0..4 {
             purposes.push(SeedFor::Evaluation { candidate });
+            purposes.push(SeedFor::Estimate { candidate });
             for training in 0..3 {
                 purposes.push(SeedFor::Training { candidate, training });
             }

@@ -263,8 +263,9 @@ impl Session {
     /// improvement: over the best of the evaluated psi, or over the verified return if the verified
     /// policy was trained without psi. Before, it is a difference of means, which ignores how
     /// uncertain these are: the highest mean return of a candidate's policy in simulations of the
-    /// identified Qube minus the verified return. This assumes that another candidate may regain
-    /// the loss from simulation to reality; a policy that no candidate has found yet may gain more.
+    /// identified Qube, other than those in which the policy was chosen, minus the verified return.
+    /// This assumes that another candidate may regain the loss from simulation to reality; a policy
+    /// that no candidate has found yet may gain more.
     fn expected_gain(
         &mut self,
         scored: &[ScoredCandidate],
@@ -284,7 +285,7 @@ impl Session {
         for it in scored.iter().filter(|it| it.candidate.purpose.is_searched()) {
             let number = it.candidate.number;
             if let Ok(Policy::Network(policy)) = Policy::from_bytes(&self.policy(number)?) {
-                let evaluation = self.trainer().simulated(number, &policy.network)?;
+                let evaluation = self.trainer().simulated_afresh(number, &policy.network)?;
                 simulated = simulated.max(evaluation.mean_return());
             }
         }

@@ -289,32 +289,38 @@ impl Trainer {
     /// # Errors
     /// The base distribution cannot be simulated.
     fn score(&self, candidate: u32, network: &Network) -> Result<TrainingScore, SessionError> {
-        let as_identified = self.simulated(candidate, network)?;
+        let seed_for = SeedFor::Evaluation { candidate };
+        let base = self.settings.base_distribution()?;
+        let as_identified = self.simulated_from(&base, seed_for, network);
         if !self.identification.is_doubted() {
             return Ok(TrainingScore::of(&as_identified));
         }
-        let base = self.settings.base_distribution()?;
         let doubted = base.widened(DOUBTED_WIDTH, self.settings.family);
-        let compared = tenth_percentile(&self.simulated_from(&doubted, candidate, network));
+        let compared = tenth_percentile(&self.simulated_from(&doubted, seed_for, network));
         Ok(TrainingScore { scored: tenth_percentile(&as_identified), compared })
     }
 
-    /// Evaluates a policy of a candidate in fresh simulations from the search's base distribution.
-    pub(super) fn simulated(
+    /// Evaluates the policy of a candidate in simulations from the search's base distribution, none
+    /// of which helped to choose the policy.
+    ///
+    /// # Errors
+    /// The base distribution cannot be simulated.
+    pub(super) fn simulated_afresh(
         &self,
         candidate: u32,
         network: &Network,
     ) -> Result<Evaluation, SessionError> {
-        Ok(self.simulated_from(&self.settings.base_distribution()?, candidate, network))
+        let base = self.settings.base_distribution()?;
+        Ok(self.simulated_from(&base, SeedFor::Estimate { candidate }, network))
     }
 
     fn simulated_from(
         &self,
         distribution: &DomainDistribution,
-        candidate: u32,
+        seed_for: SeedFor,
         network: &Network,
     ) -> Evaluation {
-        let seed = derived_seed(self.settings.seed, SeedFor::Evaluation { candidate });
+        let seed = derived_seed(self.settings.seed, seed_for);
         let simulation = &self.settings.training.simulation;
         evaluate_on_new_starts(network, distribution, simulation, seed, CHOSEN_OF_STARTS)
     }
@@ -357,16 +363,34 @@ mod tests {
         Identification::Found { recordings: 1, verdict, doubts, profiles, failed_refit: None }
     }
 
+    fn shipped_network() -> Network {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
+        match Policy::load(&path) {
+            Ok(Policy::Network(policy)) => policy.network,
+            _ => panic!("the file holds no network"),
+        }
+    }
+
+    #[test]
+    fn the_return_of_a_policy_is_estimated_in_other_simulations_than_those_that_chose_it() {
+        let plan = IdentificationSettings::default();
+        let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
+        let settings = settings.around(&plan, &Profile::lab(), &Profile::lab());
+        let (trainer, network) = (trainer(settings, found(Vec::new())), shipped_network());
+        let chosen = trainer.score(1, &network).unwrap();
+        let estimated = |candidate| trainer.simulated_afresh(candidate, &network).unwrap();
+        assert_ne!(TrainingScore::of(&estimated(1)), chosen);
+        assert_ne!(estimated(1).returns, estimated(2).returns);
+        assert_eq!(estimated(1).returns, estimated(1).returns);
+    }
+
     #[test]
     fn policies_around_a_doubted_fit_are_compared_in_wider_simulations() {
         let plan = IdentificationSettings::default();
         let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
         let settings = settings.around(&plan, &Profile::lab(), &Profile::lab());
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/robust.safetensors");
-        let Ok(Policy::Network(policy)) = Policy::load(&path) else {
-            panic!("the file holds no network")
-        };
-        let score = |doubts| trainer(settings.clone(), found(doubts)).score(1, &policy.network);
+        let network = shipped_network();
+        let score = |doubts| trainer(settings.clone(), found(doubts)).score(1, &network);
         let undoubted = score(Vec::new()).unwrap();
         let doubted = score(vec!["play".into()]).unwrap();
         assert_eq!(undoubted.compared, undoubted.scored);
