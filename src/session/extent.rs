@@ -41,6 +41,10 @@ fn is_zero(count: &u32) -> bool {
     *count == 0
 }
 
+/// Largest number of rollouts with a result that the settings of a session may ask for. The
+/// ledger has room for so many.
+pub(super) const MOST_ROLLOUTS: u32 = 100_000;
+
 impl Extent {
     /// The extent of a session of some minutes.
     pub const QUICK: Self = Self {

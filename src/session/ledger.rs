@@ -26,9 +26,17 @@ pub enum LedgerError {
     },
     /// The file is longer than any session's ledger.
     #[error(
-        "{path} is larger than {} MiB, far more than any session writes: restore it from a backup", MAX_FILE_BYTES >> 20
+        "{path} is larger than {} MiB, more than any session writes: restore it from a backup", MAX_FILE_BYTES >> 20
     )]
     TooLong {
+        /// Path of the ledger.
+        path: PathBuf,
+    },
+    /// Another line would make the file longer than what is read; it was not written.
+    #[error(
+        "{path} has no room left: no ledger is longer than {} MiB. Begin a new session", MAX_FILE_BYTES >> 20
+    )]
+    Full {
         /// Path of the ledger.
         path: PathBuf,
     },
@@ -55,7 +63,9 @@ pub enum LedgerError {
     },
 }
 
-/// Largest ledger that is read, bytes; the longest session's has less than 10 MB.
+/// Largest ledger that is read or written, bytes. The proposals and results of the longest session
+/// ([`MOST_ROLLOUTS`](super::extent::MOST_ROLLOUTS)) fill less than half of it; the rest has room
+/// for two void attempts at each rollout.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
 /// The append-only record of a session, `ledger.jsonl`: one entry a line, each with a checksum and
@@ -169,9 +179,9 @@ impl Ledger {
     /// Adds one entry; it is on disk when the call returns.
     ///
     /// # Errors
-    /// The entry cannot follow the earlier ones, or the disk is full or failing. In the second case
-    /// the entry is not recorded here but may be on disk, because the effect of a failed sync is
-    /// unknown.
+    /// The entry cannot follow the earlier ones, the ledger has no room for it, or the disk is full
+    /// or failing. In the last case the entry is not recorded here but may be on disk, because the
+    /// effect of a failed sync is unknown.
     pub fn append(&mut self, entry: Entry) -> Result<(), LedgerError> {
         let mut state = self.state.clone();
         state
@@ -179,6 +189,9 @@ impl Ledger {
             .map_err(|reason| LedgerError::OutOfOrder { path: self.path.clone(), reason })?;
         let mut chain = self.chain.clone();
         let line = encode(&entry, &mut chain).map_err(|error| self.failed(error.into()))?;
+        if self.length + line.len() as u64 > MAX_FILE_BYTES {
+            return Err(LedgerError::Full { path: self.path.clone() });
+        }
         if self.torn {
             self.file.cut_to(self.length).map_err(|source| self.failed(source))?;
             self.torn = false;
@@ -297,7 +310,9 @@ pub fn parse(bytes: &[u8]) -> Result<Parsed, DamagedLine> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::qube::Quantity;
     use crate::session::Purpose;
+    use crate::session::extent::MOST_ROLLOUTS;
     use crate::storage::{MachineDisk, checksum_of};
 
     fn sample() -> Vec<Entry> {
@@ -364,6 +379,44 @@ mod tests {
         let error = Ledger::open(&MachineDisk, &path).unwrap_err();
         assert!(matches!(error, LedgerError::TooLong { .. }), "{error}");
         assert_eq!(std::fs::metadata(&path).unwrap().len(), MAX_FILE_BYTES + 10);
+    }
+
+    #[test]
+    fn no_entry_makes_a_ledger_too_long_to_be_read() {
+        let directory = tempfile::tempdir().unwrap();
+        let (path, bytes) = written(directory.path());
+        let mut ledger = Ledger::open(&MachineDisk, &path).unwrap();
+        let entry = Entry::RolloutVoid { candidate: 0, rollout: 1, attempt: 0, rig: None };
+        let line = encode(&entry, &mut ledger.chain.clone()).unwrap();
+        ledger.length = MAX_FILE_BYTES - line.len() as u64 + 1;
+        let error = ledger.append(entry.clone()).unwrap_err();
+        assert!(matches!(error, LedgerError::Full { .. }), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), bytes);
+        ledger.length -= 1;
+        ledger.append(entry).unwrap();
+    }
+
+    #[test]
+    fn the_ledger_of_the_longest_session_has_room_for_void_attempts() {
+        // As many proposals as the settings allow, all with the longest psi and as many candidates
+        // whose returns are awaited as possible; and two verifications and a baseline.
+        let proposals = 1000 + 1000 + 3;
+        let proposed = Entry::Proposed {
+            candidate: u32::MAX,
+            purpose: Purpose::Verification,
+            point: vec![-1.234_567_890_123_456_7e-300; 2 * Quantity::COUNT + 7],
+            pending: vec![2000; 1000],
+            policy_of: Some(u32::MAX),
+        };
+        let (candidate, rollout, attempt, rig) = (u32::MAX, u32::MAX, u32::MAX, Some(u32::MAX));
+        let bytes = |entry| encode(&entry, &mut Chain::default()).unwrap().len() as u64;
+        let trained = bytes(Entry::Trained { candidate });
+        let finished = bytes(Entry::RolloutFinished { candidate, rollout, attempt, rig });
+        let void = bytes(Entry::RolloutVoid { candidate, rollout, attempt, rig });
+        let most = u64::from(MOST_ROLLOUTS);
+        let longest = proposals * (bytes(proposed) + trained) + most * finished;
+        assert!(longest < MAX_FILE_BYTES / 2, "{longest}");
+        assert!(longest + 2 * most * void < MAX_FILE_BYTES, "{longest}, {void}");
     }
 
     #[test]

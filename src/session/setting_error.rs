@@ -1,6 +1,7 @@
 use thiserror::Error;
 
 use super::EmulatedQubeError;
+use super::extent::MOST_ROLLOUTS;
 use crate::control::HomingSettingsError;
 use crate::estimation::SettingsError;
 use crate::learning::TrainError;
@@ -66,6 +67,15 @@ pub enum SettingError {
     /// A setting of the training is refused.
     #[error("{}", of_training(.0))]
     Training(#[source] TrainError),
+    /// The session may need more rollouts than its ledger has room for.
+    #[error(
+        "extent: the session may make {rollouts} rollouts, and its ledger has room for {MOST_ROLLOUTS}: give fewer \
+         candidates, or fewer rollouts of each"
+    )]
+    TooManyRollouts {
+        /// Largest number of rollouts of the session.
+        rollouts: u32,
+    },
     /// The session identifies its Qube, and its strategy has no surrogate, whose expected
     /// improvement decides when a search around an identified Qube ends.
     #[error(

@@ -2,7 +2,8 @@
 
 use toml::{Table, Value};
 
-use super::{SessionSettings, SettingError};
+use super::extent::MOST_ROLLOUTS;
+use super::{Extent, SessionSettings, SettingError};
 use crate::qube::MAX_STEPS;
 use crate::safety::SafetyBox;
 use crate::search::StrategyKind;
@@ -45,6 +46,10 @@ impl SessionSettings {
             identification.check()?;
             self.check_around_identified()?;
         }
+        let rollouts = self.most_rollouts();
+        if rollouts > MOST_ROLLOUTS {
+            return Err(SettingError::TooManyRollouts { rollouts });
+        }
         self.emulated.check().map_err(SettingError::Emulated)?;
         for (rig, settings) in (1..).zip(&self.rigs) {
             let checked = settings.emulated.check();
@@ -55,6 +60,19 @@ impl SessionSettings {
         // The checks above cover the ranges of single settings. This one bounds the numbers that
         // are not integers, also of settings without a range of their own.
         Table::try_from(self).map_or(Ok(()), |all| check_numbers("", &Value::Table(all)))
+    }
+
+    /// Largest number of rollouts of the search and of the verifications. A search around an
+    /// identified Qube may verify each of its candidates; a Qube that cannot be identified is
+    /// searched as an unknown one.
+    fn most_rollouts(&self) -> u32 {
+        let Extent { initial_candidates, iterations, rollouts, verification_rollouts, .. } =
+            self.extent;
+        let of_unknown = (initial_candidates + iterations) * rollouts + 2 * verification_rollouts;
+        let of_identified = self
+            .identification
+            .map_or(0, |plan| plan.candidates * (plan.rollouts + verification_rollouts));
+        of_unknown.max(of_identified)
     }
 
     /// Checks the settings on which the end of a search around an identified Qube depends.
@@ -142,7 +160,25 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::session::{Extent, IdentificationSettings};
+    use crate::session::IdentificationSettings;
+
+    #[test]
+    fn more_rollouts_than_a_ledger_has_room_for_are_refused() {
+        let plan = IdentificationSettings::DEFAULT;
+        let checked = |[initial_candidates, iterations, rollouts]: [u32; 3], plan| {
+            let extent = Extent { initial_candidates, iterations, rollouts, ..Extent::QUICK };
+            let settings =
+                SessionSettings { extent, identification: plan, ..SessionSettings::quick() };
+            settings.check().map_err(|refused| refused.to_string())
+        };
+        assert_eq!(checked([1000, 1000, 49], None), Ok(()));
+        assert_eq!(checked([1000, 1000, 49], Some(plan)), Ok(()));
+        let refused = checked([1000, 1000, 1000], None).unwrap_err();
+        assert!(refused.contains("extent: the session may make 2000010 rollouts"), "{refused}");
+        let verified = IdentificationSettings { candidates: 1000, rollouts: 96, ..plan };
+        let refused = checked([6, 4, 2], Some(verified)).unwrap_err();
+        assert!(refused.contains("101000 rollouts") && refused.contains("100000"), "{refused}");
+    }
 
     #[test]
     fn rollouts_around_an_identified_qube_are_as_long_as_simulations() {
@@ -173,6 +209,7 @@ mod tests {
             ("[estimator]\ncorner_rad_s = 0.0\n", "estimator.corner_rad_s"),
             ("[safety_box]\ntheta = nan\n", "safety_box.theta"),
             ("[extent]\nrollouts = 0\n", "extent.rollouts"),
+            ("[extent]\niterations = 1000\nrollouts = 1000\n", "my.toml, line 1: extent: "),
             ("model = \"opt-profile\"\n", "[profile]"),
             ("model = \"nominal\"\n", "nominal has no psi to search"),
             (
