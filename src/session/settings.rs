@@ -168,7 +168,9 @@ impl SessionSettings {
 
     /// The settings of the search around an identified Qube. Simulations are drawn from the
     /// `latest` profile and its errors; psi shifts their means along the directions of the errors
-    /// of the `first` one, so that a shift keeps its meaning for the surrogate.
+    /// of the `first` one, so that a shift moves them by the same amounts around each profile. A
+    /// psi still stands for other simulations around another profile; the surrogate ignores this
+    /// and treats each return as if its policy had been trained around the latest profile.
     #[must_use]
     pub fn around(self, plan: &IdentificationSettings, first: &Profile, latest: &Profile) -> Self {
         let axes = Direction::of_errors(first, self.plant());
@@ -288,6 +290,7 @@ mod tests {
 
     use super::*;
     use crate::learning::{curve_csv, train};
+    use crate::qube::{DomainParameter, QubeModel};
     use crate::storage::checksum_of;
 
     #[test]
@@ -305,6 +308,30 @@ mod tests {
             data.push(Observation { point, returns });
         }
         assert_ne!(next(&settings, &data), next(&random, &data));
+    }
+
+    #[test]
+    fn a_shift_moves_the_means_of_the_latest_fit_by_the_errors_of_the_first() {
+        let resistance = DomainParameter::MotorResistance;
+        let fitted = |ohm: f64, error_ohm: f64| {
+            let mut model = QubeModel::NOMINAL;
+            model.parameters.set(resistance, ohm);
+            let standard_errors = [("R_m".to_owned(), error_ohm)].into();
+            Profile { standard_errors, ..Profile::exact("fitted", &model) }
+        };
+        let (first, latest) = (fitted(8.4, 0.5), fitted(8.7, 0.1));
+        let mean_ohm = |latest: &Profile, shift: f64| {
+            let plan = IdentificationSettings::DEFAULT;
+            let around = SessionSettings::quick().around(&plan, &first, latest);
+            let entry = |name: String| if name == "shift_1" { shift } else { 0.0 };
+            let point: Vec<f64> = around.psi.names().map(entry).collect();
+            let psi = around.psi.psi(&point).unwrap();
+            around.distribution(&psi).unwrap().get(resistance).mean()
+        };
+        for (latest, ohm) in [(&first, 8.4), (&latest, 8.7)] {
+            assert!((mean_ohm(latest, 0.0) - ohm).abs() < 1e-9);
+            assert!((mean_ohm(latest, 1.0) - ohm - 0.5).abs() < 1e-9);
+        }
     }
 
     /// The first checksum covers the text of the settings; the second covers the policy and the

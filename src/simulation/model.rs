@@ -45,8 +45,8 @@ pub struct ProfileSettings {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<Direction>,
     /// Axes along which psi shifts the means; empty if `directions` are the axes. A search keeps
-    /// the axes of its first profile, so that a shift keeps its meaning while the errors change.
-    /// Files do not have them, because they follow from the profiles.
+    /// the axes of its first profile, so that a shift moves the means by the same amounts while the
+    /// errors change. Files do not have them, because they follow from the profiles.
     #[serde(skip)]
     pub axes: Vec<Direction>,
 }
