@@ -1,5 +1,9 @@
 use std::fmt;
 
+/// Largest number of a try. A file with a larger number is a stray one: a job is given up or done
+/// after a few tries.
+const LAST_TRY: u32 = 99_999;
+
 /// The name of the file by which a worker claims a try of a job: `FINGERPRINT.N`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClaimName<'a> {
@@ -14,7 +18,8 @@ impl<'a> ClaimName<'a> {
     #[must_use]
     pub fn parse(name: &'a str) -> Option<Self> {
         let (job, number) = name.rsplit_once('.')?;
-        Some(Self { job, number: number.parse().ok()? })
+        let number = number.parse().ok().filter(|&number| number <= LAST_TRY)?;
+        Some(Self { job, number })
     }
 }
 
@@ -33,7 +38,8 @@ mod tests {
         let third = ClaimName { job: "0f.3a", number: 2 };
         assert_eq!(third.to_string(), "0f.3a.2");
         assert_eq!(ClaimName::parse("0f.3a.2"), Some(third));
-        for other in ["0f3a", "0f3a.", "0f3a.-1", "0f3a.refused"] {
+        for other in ["0f3a", "0f3a.", "0f3a.-1", "0f3a.refused", "0f3a.100000", "0f3a.4294967295"]
+        {
             assert_eq!(ClaimName::parse(other), None, "{other}");
         }
     }

@@ -23,7 +23,8 @@ impl JobFolder {
     /// written terms and by the terms of this process.
     ///
     /// # Errors
-    /// Another coordinator lives, `stop` was set during the wait, or a file operation fails.
+    /// Another coordinator lives, `stop` was set during the wait, no number is left for another
+    /// coordinator, or a file operation fails.
     pub fn coordinate(
         &self,
         holder: &Holder,
@@ -36,6 +37,7 @@ impl JobFolder {
         let mut first = None;
         loop {
             let last = self.last_coordinator()?;
+            let number = last.map_or(Ok(0), |last| self.number_after(last))?;
             if let Some(last) = last {
                 let state = self.coordinator_state(last)?;
                 let is_over = state.ending.is_some()
@@ -59,7 +61,6 @@ impl JobFolder {
                     continue;
                 }
             }
-            let number = last.map_or(0, |last| last + 1);
             let path = self.coordinator(number);
             match Heartbeat::create(self.disk(), &path, holder) {
                 Ok(Some(heartbeat)) => {
@@ -94,6 +95,17 @@ impl JobFolder {
         Ok(names.into_iter().filter_map(|name| name.parse().ok()).max())
     }
 
+    /// Number of the coordinator after another.
+    ///
+    /// # Errors
+    /// The other one has the largest number, which only a stray file has.
+    fn number_after(&self, last: u32) -> Result<u32, JobFolderError> {
+        last.checked_add(1).ok_or_else(|| JobFolderError::Damaged {
+            path: self.coordinator(last),
+            reason: "no coordinator has had this number: remove the file".to_owned(),
+        })
+    }
+
     fn coordinator(&self, number: u32) -> PathBuf {
         self.root().join("coordinators").join(number.to_string())
     }
@@ -102,5 +114,26 @@ impl JobFolder {
         let path = self.coordinator(number);
         let state = HeartbeatState::read(self.disk(), &path);
         Ok(state.map_err(|source| refused(&path, source))?.unwrap_or_default())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::jobs::folder::Terms;
+    use crate::storage::MachineDisk;
+
+    #[test]
+    fn a_stray_file_with_the_largest_number_is_named() {
+        let directory = tempfile::tempdir().unwrap();
+        let terms = Terms::default();
+        let folder = JobFolder::create(Arc::new(MachineDisk), directory.path(), terms).unwrap();
+        let stray = folder.coordinator(u32::MAX);
+        std::fs::write(&stray, "").unwrap();
+        let never = AtomicBool::new(false);
+        let refused = folder.coordinate(&Holder::this_process(), &never).unwrap_err();
+        assert!(matches!(&refused, JobFolderError::Damaged { path, .. } if *path == stray));
     }
 }
