@@ -205,6 +205,13 @@ fn model_parser() -> impl TypedValueParser<Value = Model> {
 /// Runs or resumes an experiment and prints its table.
 pub fn run(arguments: Arguments, output: &Output) -> Result<(), Failure> {
     let started = Instant::now();
+    // clap does not ask for --resume beside an argument with which --resume conflicts.
+    if arguments.table && arguments.resume.is_none() {
+        return Err(Failure::usage(
+            "--table shows the finished work of an experiment: give the experiment's folder to --resume, \
+             and leave the arguments that begin an experiment out",
+        ));
+    }
     let mut device = arguments.qube.choose(&arguments.driven)?;
     if arguments.live.is_asked() && !device.choice.is_hardware() {
         return Err(Failure::usage(

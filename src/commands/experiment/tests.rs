@@ -53,6 +53,17 @@ fn an_emulated_qube_with_the_name_of_the_real_one_is_refused() {
 }
 
 #[test]
+fn a_table_of_no_experiment_is_refused_and_makes_no_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("new");
+    let out_text = out.display().to_string();
+    let Alone { arguments } = Alone::parse_from(["experiment", "--table", "--out", &out_text]);
+    let failure = run(arguments, &Output::new(false)).unwrap_err();
+    assert!(failure.is_usage() && failure.cause().contains("--resume"), "{}", failure.cause());
+    assert!(!out.exists());
+}
+
+#[test]
 fn each_file_that_cannot_be_written_is_named() {
     assert!(all_written([("--csv", None), ("--figures", Some(Ok(())))]).is_ok());
     let full = || Some(Err(Failure::failed("the disk is full")));
