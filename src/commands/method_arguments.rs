@@ -1,3 +1,5 @@
+use std::str::FromStr;
+
 use super::chosen_device::ChosenDevice;
 use super::exit::Failure;
 use super::number_arguments::spread;
@@ -60,8 +62,8 @@ pub struct MethodArguments {
     )]
     spread: f64,
 
-    /// Numbers of the methods from the literature that differ from the default ones, each as
-    /// name=value (docs/rivals.md has the names)
+    /// Numbers of the compared methods from the literature that differ from the default ones, each
+    /// as name=value (docs/rivals.md has the names)
     #[arg(
         long,
         value_name = "NUMBERS",
@@ -70,13 +72,46 @@ pub struct MethodArguments {
         requires = "strategies",
         conflicts_with = "resume"
     )]
-    rival_settings: RivalSettings,
+    rival_settings: GivenRivalSettings,
+}
+
+/// The numbers of `--rival-settings` with their names.
+#[derive(Clone, Debug)]
+struct GivenRivalSettings {
+    /// Settings with the given numbers; the others are the default ones.
+    settings: RivalSettings,
+    /// Names of the given numbers.
+    names: Vec<String>,
+}
+
+impl FromStr for GivenRivalSettings {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let names = text.split(',').filter_map(|pair| pair.split_once('='));
+        let names = names.map(|(name, _)| name.trim().to_owned()).collect();
+        Ok(Self { settings: text.parse()?, names })
+    }
 }
 
 impl MethodArguments {
-    /// Returns the settings of the comparison; `None` if `--strategies` is not given.
-    pub fn settings(&self) -> Option<MethodSettings> {
-        (!self.strategies.is_empty()).then(|| MethodSettings {
+    /// Returns the settings of the comparison; `None` if `--strategies` is not given. Refuses a
+    /// number of a method that is not compared.
+    pub fn settings(&self) -> Result<Option<MethodSettings>, Failure> {
+        if self.strategies.is_empty() {
+            return Ok(None);
+        }
+        for name in &self.rival_settings.names {
+            if let Some(method) = RivalSettings::method_of(name)
+                && !self.strategies.contains(&method)
+            {
+                return Err(Failure::usage(format!(
+                    "--rival-settings {name}: only the method {method} uses this number, and it is not compared: \
+                     add {method} to --strategies, or leave {name} out"
+                )));
+            }
+        }
+        Ok(Some(MethodSettings {
             methods: self.strategies.clone(),
             repetitions: self.repetitions,
             recordings: self.recordings,
@@ -84,8 +119,8 @@ impl MethodArguments {
             budgets: self.budgets.clone(),
             trainings: self.trainings,
             seeds: RepetitionSeeds::OfEachPlant,
-            rivals: self.rival_settings,
-        })
+            rivals: self.rival_settings.settings,
+        }))
     }
 }
 
@@ -100,5 +135,33 @@ pub fn check_device(
              would take thousands of rollouts on a real Qube. Leave --device and --qube out"
         ))),
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(strategies: &[&str], numbers: &str) -> Result<Option<MethodSettings>, Failure> {
+        MethodArguments {
+            strategies: strategies.iter().map(|name| name.parse().unwrap()).collect(),
+            repetitions: 1,
+            recordings: 1,
+            budgets: vec![2],
+            trainings: 1,
+            spread: 0.1,
+            rival_settings: numbers.parse().unwrap(),
+        }
+        .settings()
+    }
+
+    #[test]
+    fn a_number_of_a_method_that_is_not_compared_is_refused() {
+        let compared =
+            settings(&["so-cma", "fpo"], "so_cma_scale=0.5, fpo_beta=1").unwrap().unwrap();
+        assert_eq!((compared.rivals.so_cma_scale, compared.rivals.fpo_beta), (0.5, 1.0));
+        let refused = settings(&["fpo", "cem"], "fpo_beta=1,so_cma_scale=0.5").unwrap_err();
+        let cause = refused.cause();
+        assert!(refused.is_usage() && cause.contains("add so-cma to --strategies"), "{cause}");
     }
 }

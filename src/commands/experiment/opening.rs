@@ -108,7 +108,7 @@ pub fn begun(
     let is_emulated = !device.choice.is_hardware();
     let base = base(arguments, device)?;
     let mut recipes = Vec::new();
-    let methods = arguments.methods.settings();
+    let methods = arguments.methods.settings()?;
     check_device(methods.as_ref(), device)?;
     let models: Vec<Model> = match (arguments.models.as_slice(), &methods) {
         ([], None) if arguments.recipe.is_empty() => Model::THESIS.into(),

@@ -2,7 +2,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::experiment::ExperimentSettingError;
+use super::RivalKind;
+use crate::experiment::{ExperimentSettingError, Method};
 
 /// One number of each method from the literature that a comparison can choose. The other numbers of
 /// a method are constants of its file.
@@ -64,6 +65,23 @@ impl RivalSettings {
             adr_temperature: 0.3,
             so_cma_scale: 1.0,
         }
+    }
+
+    /// The method that uses the number of this name; `None` if there is no such number.
+    #[must_use]
+    pub fn method_of(name: &str) -> Option<Method> {
+        Some(match name {
+            "simopt_divergence" => Method::Rival(RivalKind::SimOpt),
+            "bayessim_components" => Method::Rival(RivalKind::BayesSim),
+            "dropo_noise" => Method::Rival(RivalKind::Dropo),
+            "epopt_worst_share" => Method::Rival(RivalKind::EpOpt),
+            "npdr_widening" => Method::Rival(RivalKind::Npdr),
+            "lsdr_weight" => Method::Rival(RivalKind::Lsdr),
+            "fpo_beta" => Method::Rival(RivalKind::Fpo),
+            "adr_temperature" => Method::Rival(RivalKind::Adr),
+            "so_cma_scale" => Method::StrategyOptimisation,
+            _ => return None,
+        })
     }
 
     /// Checks the settings.
@@ -128,6 +146,16 @@ mod tests {
         assert_eq!(settings.rivals.simopt_divergence, 1.0);
         assert_eq!(settings.rivals, RivalSettings::constants_of_earlier_versions());
         assert_ne!(settings.rivals, RivalSettings::default());
+    }
+
+    #[test]
+    fn each_number_belongs_to_the_method_in_its_name() {
+        let numbers = toml::Table::try_from(RivalSettings::default()).unwrap();
+        assert_eq!(numbers.len(), 9);
+        for name in numbers.keys() {
+            let method = RivalSettings::method_of(name).unwrap();
+            assert!(name.starts_with(&method.name().replace('-', "_")), "{name}: {method}");
+        }
     }
 
     #[test]
