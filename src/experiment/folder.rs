@@ -1,7 +1,7 @@
 use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 
-use super::seal::sealed;
+use super::seal::Seal;
 use super::{ExperimentError, ExperimentSettingError};
 use crate::session::{FolderError, PolicyPaths};
 use crate::storage::{
@@ -68,7 +68,8 @@ impl ExperimentFolder {
             return Err(exists().into());
         }
         remove_unfinished(&MachineDisk, &settings_path);
-        write_whole(&MachineDisk, &folder.settings_path(), sealed(settings).as_bytes())?;
+        let sealed = Seal::EXPERIMENT.sealed(settings);
+        write_whole(&MachineDisk, &folder.settings_path(), sealed.as_bytes())?;
         Ok(folder)
     }
 

@@ -5,7 +5,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue, Deserializer};
 
 use super::folder::check_name;
-use super::seal::is_unchanged;
+use super::seal::Seal;
 use super::{ExperimentError, ExperimentSettingError, MethodSettings, Plant, Recipe};
 use crate::qube::PlantModel;
 use crate::session::{Retired, entry_at, take_retired, toml_message};
@@ -60,7 +60,7 @@ impl ExperimentSettings {
     pub fn load_to_resume(path: &Path) -> Result<Self, ExperimentError> {
         let text = text_of(path)?;
         let (settings, retired) = Self::parsed(path, &text)?;
-        let changed = (!is_unchanged(&text)).then(|| {
+        let changed = (!Seal::EXPERIMENT.is_unchanged(&text)).then(|| {
             "it was changed since this experiment began: restore it, or begin a new experiment with these settings"
                 .to_owned()
         });

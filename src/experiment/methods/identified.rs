@@ -1,5 +1,6 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
+use std::path::PathBuf;
 
 use thiserror::Error;
 
@@ -7,6 +8,7 @@ use super::MethodSettings;
 use super::recordings::{MethodRecordings, Recorded, excitation, read};
 use super::run::{Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
+use crate::experiment::seal::Seal;
 use crate::experiment::{ExperimentError, ExperimentEvent, Recipe};
 use crate::identification::{ModelVerdict, RecordingsError, Unknown, identify, read_fittable};
 use crate::policy::{Excitation, Policy};
@@ -206,26 +208,38 @@ impl<'a> FromRecordings<'a> {
         Ok(())
     }
 
+    /// Path of the profile that the first `recordings` recordings give.
+    fn profile_path(&self, recordings: u32) -> PathBuf {
+        self.run.folder.join(format!("identified-{recordings}.toml"))
+    }
+
     /// The fit to the first `recordings` recordings. The fit is stored on disk, because it takes
     /// longer than a training.
     fn stored_fit(&self, recordings: u32) -> Result<OnDisk<Fit>, ExperimentError> {
-        let named = |kind: &str| self.run.folder.join(format!("{kind}-{recordings}"));
-        let (found, refused) =
-            (named("identified").with_extension("toml"), named("refused").with_extension("txt"));
+        let found = self.profile_path(recordings);
+        let refused = self.run.folder.join(format!("refused-{recordings}.txt"));
         if !MachineDisk.exists(&found) && !MachineDisk.exists(&refused) {
             if !self.run.access.works() {
                 return Ok(OnDisk::Missing);
             }
             match self.fit(recordings)? {
-                Fit::Found(profile) => write_whole(&MachineDisk, &found, profile.as_bytes())?,
-                Fit::Refused(reason) => write_whole(&MachineDisk, &refused, reason.as_bytes())?,
+                Fit::Found(profile) => {
+                    write_whole(&MachineDisk, &found, Seal::FIT.sealed(&profile).as_bytes())?;
+                }
+                Fit::Refused(reason) => {
+                    write_whole(&MachineDisk, &refused, reason.as_bytes())?;
+                }
             }
         }
-        Ok(OnDisk::Found(if MachineDisk.exists(&refused) {
-            Fit::Refused(read(&refused)?)
-        } else {
-            Fit::Found(read(&found)?)
-        }))
+        if MachineDisk.exists(&refused) {
+            return Ok(OnDisk::Found(Fit::Refused(read(&refused)?)));
+        }
+        let profile = read(&found)?;
+        if !Seal::FIT.is_unchanged(&profile) {
+            let defect = "its checksum does not match";
+            return Err(ExperimentError::damaged_result(found, &defect));
+        }
+        Ok(OnDisk::Found(Fit::Found(profile)))
     }
 
     /// The recommendation after `recordings` recordings, all of which exist.
@@ -237,7 +251,7 @@ impl<'a> FromRecordings<'a> {
                 Ok(recommendation) => Recommended::Found(Box::new(recommendation)),
                 // No fit writes such a text, so the file was damaged.
                 Err(NoRecommendation::Profile(ProfileError::Invalid(error))) => {
-                    let path = self.run.folder.join(format!("identified-{recordings}.toml"));
+                    let path = self.profile_path(recordings);
                     return Err(ExperimentError::damaged_result(path, &error));
                 }
                 Err(error) => Recommended::Refused(error.to_string()),
@@ -352,6 +366,23 @@ mod tests {
                 panic!("a void recording gives no fit");
             };
             assert!(reason.starts_with("rollout-0: a fault ended"), "{reason}");
+        });
+    }
+
+    #[test]
+    fn a_stored_fit_with_a_flipped_digit_is_damaged() {
+        of_recordings(&[], |method| {
+            let path = method.profile_path(1);
+            std::fs::create_dir_all(&method.run.folder).unwrap();
+            let profile = "name = \"lab\"\n";
+            // An earlier version wrote fits without a checksum.
+            for written in [profile.to_owned(), Seal::FIT.sealed(profile)] {
+                std::fs::write(&path, written).unwrap();
+                assert!(matches!(method.stored_fit(1), Ok(OnDisk::Found(Fit::Found(_)))));
+            }
+            std::fs::write(&path, Seal::FIT.sealed(profile).replace("lab", "lap")).unwrap();
+            let damaged = method.stored_fit(1).err().unwrap().to_string();
+            assert!(damaged.contains("identified-1.toml: damaged"), "{damaged}");
         });
     }
 

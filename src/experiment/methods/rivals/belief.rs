@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::gaussian::Gaussian;
 use super::space::Space;
+use crate::storage::checksum_of;
 
 /// A rival's belief about a Qube after some recordings, in the coordinates of a [`Space`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,7 +27,38 @@ enum Written {
     Points(Vec<Vec<f64>>),
 }
 
+/// The field with the checksum of the belief, the last one of its file, up to the checksum.
+const CHECKSUM_FIELD: &str = ",\"checksum\":\"";
+
 impl RivalBelief {
+    /// The belief as JSON for its file. An object has a checksum of the belief as its last field.
+    ///
+    /// # Errors
+    /// The belief has no JSON form.
+    pub fn to_file(&self) -> Result<String, serde_json::Error> {
+        let text = serde_json::to_string(self)?;
+        Ok(match text.strip_suffix('}') {
+            Some(fields) => format!("{fields}{CHECKSUM_FIELD}{}\"}}", checksum_of(text.as_bytes())),
+            None => text,
+        })
+    }
+
+    /// Reads the belief of a file. A file without a checksum, which an earlier version wrote, is
+    /// read as it is.
+    ///
+    /// # Errors
+    /// The file is damaged.
+    pub fn of_file(text: &str) -> Result<Self, String> {
+        let Some((fields, checksum)) = text.rsplit_once(CHECKSUM_FIELD) else {
+            return serde_json::from_str(text).map_err(|error| error.to_string());
+        };
+        let belief = format!("{fields}}}");
+        if checksum.trim_end() != format!("{}\"}}", checksum_of(belief.as_bytes())) {
+            return Err("its checksum does not match".to_owned());
+        }
+        serde_json::from_str(&belief).map_err(|error| error.to_string())
+    }
+
     /// Returns `count` points whose Qubes can be simulated. The points of a distribution are drawn;
     /// a belief of points returns its own at even distances in their order: some of them if there
     /// are more than `count`, repetitions if there are fewer, none if it has none.
@@ -136,9 +168,21 @@ mod tests {
         for belief in
             [RivalBelief::Unknown, RivalBelief::Gaussian(gaussian), RivalBelief::Points(points)]
         {
+            let text = belief.to_file().unwrap();
+            assert_eq!(RivalBelief::of_file(&text).unwrap(), belief);
+            // An earlier version wrote beliefs without a checksum.
             let text = serde_json::to_string(&belief).unwrap();
-            assert_eq!(serde_json::from_str::<RivalBelief>(&text).unwrap(), belief);
+            assert_eq!(RivalBelief::of_file(&text).unwrap(), belief);
         }
+    }
+
+    #[test]
+    fn a_flipped_digit_of_a_written_belief_is_noticed() {
+        let belief = RivalBelief::Points(vec![DVector::from_vec(vec![0.25, 2.0])]);
+        let text = belief.to_file().unwrap();
+        assert!(text.starts_with(r#"{"points":[[0.25,2.0]],"checksum":""#), "{text}");
+        let refused = RivalBelief::of_file(&text.replace("0.25", "0.26")).unwrap_err();
+        assert!(refused.contains("checksum"), "{refused}");
     }
 
     #[test]

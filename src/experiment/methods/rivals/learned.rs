@@ -118,9 +118,7 @@ impl<'a> FromRival<'a> {
         }
         let path = self.run.folder.join(format!("belief-{recordings}.json"));
         if MachineDisk.exists(&path) {
-            let stored = serde_json::from_str::<RivalBelief>(&read(&path)?);
-            let stored = stored.map_err(|error| error.to_string());
-            return stored
+            return RivalBelief::of_file(&read(&path)?)
                 .and_then(|belief| belief.within(&self.space))
                 .map(OnDisk::Found)
                 .map_err(|reason| ExperimentError::damaged_result(path, &reason));
@@ -129,7 +127,7 @@ impl<'a> FromRival<'a> {
             return Ok(OnDisk::Missing);
         }
         let belief = self.learnt(recordings)?;
-        let text = serde_json::to_string(&belief).map_err(|error| ExperimentError::Settings {
+        let text = belief.to_file().map_err(|error| ExperimentError::Settings {
             path: path.clone(),
             reason: error.to_string(),
         })?;
