@@ -22,6 +22,7 @@ mod error;
 mod event;
 mod folder;
 mod irreplaceable;
+mod local_work;
 mod made;
 mod methods;
 mod opened;

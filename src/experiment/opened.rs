@@ -1,6 +1,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use super::local_work::{LocalWork, TrainedElsewhere};
 use super::{ExperimentFolder, ExperimentSettings};
 use crate::jobs::{Executor, LocalExecutor};
 use crate::rig::{ClockChoice, RigSettings};
@@ -16,6 +17,7 @@ pub struct Experiment {
     settings: ExperimentSettings,
     rig: RigSettings,
     threads: usize,
+    local_work: Arc<LocalWork>,
     stop: Arc<AtomicBool>,
     executor: Option<Arc<dyn Executor>>,
 }
@@ -32,12 +34,14 @@ impl Experiment {
         threads: usize,
         stop: Arc<AtomicBool>,
     ) -> Self {
-        Self { folder, settings, rig, threads: threads.max(1), stop, executor: None }
+        let threads = threads.max(1);
+        let local_work = Arc::new(LocalWork::of(threads));
+        Self { folder, settings, rig, threads, local_work, stop, executor: None }
     }
 
     /// Trains on this executor, or with `None` on this computer's cores; the policies do not depend
     /// on this choice. Methods with a training of their own, such as `adr` and `so-cma`, always
-    /// train on this computer.
+    /// train on this computer, at most as many at a time as the experiment has threads.
     #[must_use]
     pub fn trained_by(mut self, executor: Option<Arc<dyn Executor>>) -> Self {
         self.executor = executor;
@@ -47,16 +51,34 @@ impl Experiment {
     /// The executor of trainings that may use this many of this computer's cores.
     pub(super) fn executor(&self, cores: usize) -> Arc<dyn Executor> {
         match &self.executor {
-            Some(executor) => Arc::clone(executor),
+            Some(executor) => Arc::new(TrainedElsewhere {
+                executor: Arc::clone(executor),
+                local_work: Arc::clone(&self.local_work),
+            }),
             None => Arc::new(LocalExecutor::on_cores(cores)),
         }
     }
 
     /// Number of items of work at a time. While the training of an item runs on another computer,
-    /// the item only waits here, so there may be more items than threads.
+    /// the item only waits here, so there may be more items than threads;
+    /// [`Self::local_work`] limits those that do not wait.
     pub(super) fn parallel_items(&self) -> usize {
         let elsewhere = self.executor.as_ref().map_or(0, |executor| executor.concurrency());
         self.threads.max(elsewhere.min(MAX_PARALLEL_ITEMS))
+    }
+
+    /// The limit on the items that work on this computer at a time: as many as there are threads.
+    pub(super) fn local_work(&self) -> &LocalWork {
+        &self.local_work
+    }
+
+    /// Carries out a search, during which trainings may run on another computer. A search with
+    /// pending candidates trains beside its rollouts, so it counts as waiting all the time.
+    pub(super) fn while_searching<T>(&self, pending: u32, search: impl FnOnce() -> T) -> T {
+        match pending {
+            0 => search(),
+            _ => self.local_work.while_waiting(search),
+        }
     }
 
     /// The experiment's folder.

@@ -102,6 +102,7 @@ impl Experiment {
         cores: usize,
         on_event: &OnEvent,
     ) -> Result<Vec<WorkItem>, ExperimentError> {
+        let _at_work = self.local_work().begin(self.stop())?;
         match item {
             WorkItem::Search { recipe } => {
                 self.search(&self.settings().recipes[recipe], cores, on_event)?;
@@ -153,7 +154,9 @@ impl Experiment {
         let on_event = &mut |progress: SessionEvent| {
             on_event(ExperimentEvent::Search { name: &recipe.name, progress: &progress });
         };
-        session.trained_by(self.executor(cores)).run(on_event).map_err(failed)
+        let mut session = session.trained_by(self.executor(cores));
+        let pending = recipe.settings.extent.pending;
+        self.while_searching(pending, || session.run(on_event)).map_err(failed)
     }
 
     /// The state of the search for a recipe's psi.
@@ -287,4 +290,73 @@ fn mean_returns(path: &Path) -> Result<Vec<f64>, ExperimentError> {
     let text = read_text(path, CURVE_BYTES).map_err(|error| bad(error.to_string()))?;
     let points = parse_curve_csv(&text).map_err(|error| bad(error.to_string()))?;
     Ok(points.iter().map(|it| it.mean_return).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+    use std::time::{Duration, Instant};
+
+    use super::*;
+    use crate::experiment::{ExperimentFolder, ExperimentSettings, Plant};
+    use crate::jobs::{Executor, JobEvent, LocalExecutor, TrainingJob};
+    use crate::learning::TrainSettings;
+    use crate::rig::{DeviceChoice, RigSettings};
+    use crate::simulation::Model;
+
+    /// Number of trainings that must be under way at a time.
+    const TRAININGS: usize = 4;
+
+    /// An executor that begins no training before all have been requested.
+    struct AllAtOnce(AtomicUsize);
+
+    impl Executor for AllAtOnce {
+        fn concurrency(&self) -> usize {
+            TRAININGS
+        }
+
+        fn train(&self, jobs: &[TrainingJob], stop: &AtomicBool, tell: &mut dyn FnMut(JobEvent)) {
+            self.0.fetch_add(1, Ordering::SeqCst);
+            let begun = Instant::now();
+            while self.0.load(Ordering::SeqCst) < TRAININGS {
+                assert!(begun.elapsed() < Duration::from_secs(60), "an item waits for a place");
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            LocalExecutor::on_cores(1).train(jobs, stop, tell);
+        }
+    }
+
+    #[test]
+    fn items_wait_together_for_trainings_elsewhere_and_work_here_one_at_a_time() {
+        let root = tempfile::tempdir().unwrap();
+        let training = TrainSettings { updates: 1, num_envs: 16, epochs: 1, ..Default::default() };
+        let base = SessionSettings { training, ..SessionSettings::thesis() };
+        let settings = ExperimentSettings {
+            name: "table".into(),
+            seed: 7,
+            policies: TRAININGS as u32,
+            rollouts: 1,
+            simulated_starts: 1,
+            guard_profile: None,
+            plants: vec![Plant { name: "lab".into(), emulated: Default::default(), vary: 0.0 }],
+            recipes: vec![Recipe::of(Model::Nominal, &base)],
+            methods: None,
+        };
+        let folder = ExperimentFolder::create(root.path(), &settings.to_toml().unwrap()).unwrap();
+        let rig = RigSettings::in_virtual_time(DeviceChoice::Emulated);
+        let experiment = Experiment::new(folder, settings, rig, 1, Arc::default())
+            .trained_by(Some(Arc::new(AllAtOnce(AtomicUsize::new(0)))));
+        let (working, ran) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let on_event = |event: ExperimentEvent| {
+            if let ExperimentEvent::Trained { .. } | ExperimentEvent::Ran { .. } = event {
+                assert_eq!(working.fetch_add(1, Ordering::SeqCst), 0);
+                std::thread::sleep(Duration::from_millis(20));
+                working.fetch_sub(1, Ordering::SeqCst);
+                ran.fetch_add(1, Ordering::SeqCst);
+            }
+        };
+        experiment.run(&on_event).unwrap();
+        assert_eq!(ran.into_inner(), 2 * TRAININGS);
+    }
 }

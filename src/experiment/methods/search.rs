@@ -38,11 +38,11 @@ impl<'a> FromSearch<'a> {
     /// Continues the search until this many candidates are evaluated; a read-only run does nothing.
     fn search_to(&mut self, candidates: u32) -> Result<(), ExperimentError> {
         let Access::Work(on_event) = self.run.access else { return Ok(()) };
+        let experiment = self.run.experiment;
         let session = match self.session.take() {
             Some(session) => session,
             None => {
                 make(&self.run.folder)?;
-                let experiment = self.run.experiment;
                 let settings = self.settings.clone();
                 open_search(&self.run.search(), settings, experiment.rig(), experiment.stop())?
                     .trained_by(experiment.executor(1))
@@ -52,9 +52,11 @@ impl<'a> FromSearch<'a> {
         let mut on_event = |progress: SessionEvent| {
             on_event(ExperimentEvent::Search { name, progress: &progress })
         };
-        self.session.insert(session).run_to(candidates, &mut on_event).map_err(|source| {
-            ExperimentError::Search { name: name.clone(), source: Box::new(source) }
-        })
+        let session = self.session.insert(session);
+        let pending = self.settings.extent.pending;
+        experiment.while_searching(pending, || session.run_to(candidates, &mut on_event)).map_err(
+            |source| ExperimentError::Search { name: name.clone(), source: Box::new(source) },
+        )
     }
 
     fn read_evaluated(&mut self) -> Result<(), ExperimentError> {
