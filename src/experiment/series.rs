@@ -7,7 +7,7 @@ use super::rollouts::{PolicyOfFolder, Record, Repeated, RolloutFolder};
 use super::{ExperimentError, Made, Plant, Recipe, RolloutResult};
 use crate::jobs::{CHOSEN_OF_STARTS, Competition, Executor, TrainingJob, TrainingScore};
 use crate::learning::{TrainSettings, TrainUpdate, Trained, curve_csv, evaluate_on_new_starts};
-use crate::policy::{Policy, PolicyError, PolicyFault};
+use crate::policy::{Network, Policy, PolicyError, PolicyFault};
 use crate::rig::{NotBegun, Rig, RigError, RigSettings, RolloutPlan};
 use crate::session::{EmulatedQubeSettings, SeedFor, SessionError, derived_seed};
 use crate::simulation::{DomainDistribution, Psi, PsiError, SimulationSettings};
@@ -37,6 +37,27 @@ pub(super) struct PolicySeries<'a> {
     pub stop: &'a Arc<AtomicBool>,
     /// Executor of the trainings.
     pub executor: Arc<dyn Executor>,
+}
+
+/// The simulations, new to all competing trainings of a policy, in which they are scored.
+pub(super) struct FreshSimulations {
+    /// Distribution of the simulations.
+    pub distribution: DomainDistribution,
+    /// Settings of the simulations besides the distribution.
+    pub simulation: SimulationSettings,
+    /// Seed of the simulated Qubes and starts.
+    pub seed: u64,
+    /// Number of the starts.
+    pub starts: usize,
+}
+
+impl FreshSimulations {
+    /// The score of a policy.
+    pub fn score(&self, network: &Network) -> TrainingScore {
+        let Self { distribution, simulation, seed, starts } = self;
+        let simulated = evaluate_on_new_starts(network, distribution, simulation, *seed, *starts);
+        TrainingScore::of(&simulated)
+    }
 }
 
 /// The rollouts of a policy on a plant.
@@ -115,7 +136,7 @@ impl PolicySeries<'_> {
         self.recipe.simulation(self.psi)
     }
 
-    /// The best of a policy's competing trainings ([`Competition`]), one after the other.
+    /// The best of a policy's competing trainings by the executor.
     fn best_of_trainings(
         &self,
         policy: u32,
@@ -124,24 +145,40 @@ impl PolicySeries<'_> {
         let (distribution, simulation) = (self.distribution()?, self.simulation());
         let settings =
             TrainSettings { threads: 1, simulation, ..self.recipe.settings.training.clone() };
-        let fresh = derived_seed(self.seed, SeedFor::Evaluation { candidate: policy });
-        let score = |trained: &Trained| {
-            let (network, starts) = (&trained.network, CHOSEN_OF_STARTS);
-            let simulated =
-                evaluate_on_new_starts(network, &distribution, &simulation, fresh, starts);
-            TrainingScore::of(&simulated)
+        let train = |training| {
+            let seed = derived_seed(self.seed, SeedFor::Training { candidate: policy, training });
+            let (distribution, settings) = (distribution.clone(), settings.clone());
+            let job = TrainingJob { distribution, settings, seed };
+            let mut watch = |update: &TrainUpdate| watch(training, update);
+            Ok(self.executor.train_one(&job, self.stop, &mut watch)?)
+        };
+        self.best_of(policy, train, |trained, fresh| fresh.score(&trained.network))
+    }
+
+    /// The best of a policy's competing trainings ([`Competition`]), one after the other. `train`
+    /// carries out the training with a number, from 0; `score` scores its result in fresh
+    /// simulations.
+    ///
+    /// # Errors
+    /// A training fails, or the errors of [`Recipe::distribution`].
+    pub fn best_of<T>(
+        &self,
+        policy: u32,
+        mut train: impl FnMut(u32) -> Result<T, ExperimentError>,
+        score: impl Fn(&T, &FreshSimulations) -> TrainingScore,
+    ) -> Result<T, ExperimentError> {
+        let fresh = FreshSimulations {
+            distribution: self.distribution()?,
+            simulation: self.simulation(),
+            seed: derived_seed(self.seed, SeedFor::Evaluation { candidate: policy }),
+            starts: CHOSEN_OF_STARTS,
         };
         let mut competition = Competition::new(self.trainings);
         loop {
             for training in competition.round() {
-                let seed_for = SeedFor::Training { candidate: policy, training };
-                let seed = derived_seed(self.seed, seed_for);
-                let (distribution, settings) = (distribution.clone(), settings.clone());
-                let job = TrainingJob { distribution, settings, seed };
-                let mut watch = |update: &TrainUpdate| watch(training, update);
-                let trained = self.executor.train_one(&job, self.stop, &mut watch)?;
+                let trained = train(training)?;
                 let score = if competition.is_contested() {
-                    score(&trained)
+                    score(&trained, &fresh)
                 } else {
                     TrainingScore::UNCONTESTED
                 };
@@ -297,4 +334,48 @@ pub(super) fn virtual_rig(
 ) -> Result<Rig, RigError> {
     let emulator = emulated.emulator(seed).of_plant(&rig.plant);
     Rig::open(&RigSettings { emulator, ..rig.clone() }, stop)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::LocalExecutor;
+    use crate::rig::DeviceChoice;
+    use crate::session::SessionSettings;
+    use crate::simulation::Model;
+
+    #[test]
+    fn the_best_of_a_policys_trainings_in_fresh_simulations_is_kept() {
+        let recipe = Recipe::of(Model::Nominal, &SessionSettings::thesis());
+        let best_of = |trainings: u32, scores: &[f64]| {
+            let series = PolicySeries {
+                experiment: "table",
+                recipe: &recipe,
+                psi: None,
+                distribution: None,
+                seed: 7,
+                trainings,
+                folders: PolicyFolders::of_recommendation("none".as_ref(), 0),
+                rig: &RigSettings::in_virtual_time(DeviceChoice::Emulated),
+                stop: &Arc::default(),
+                executor: Arc::new(LocalExecutor::on_cores(1)),
+            };
+            let mut carried_out = 0;
+            let train = |training| {
+                assert_eq!(training, carried_out);
+                carried_out += 1;
+                Ok(training)
+            };
+            let score = |training: &u32, _: &FreshSimulations| {
+                let score = scores[*training as usize];
+                TrainingScore { scored: score, compared: score }
+            };
+            let best = series.best_of(0, train, score).unwrap();
+            (best, carried_out)
+        };
+        // A single training is kept without a score.
+        assert_eq!(best_of(1, &[]), (0, 1));
+        assert_eq!(best_of(2, &[400.0, 500.0]), (1, 2));
+        assert_eq!(best_of(2, &[10.0, 20.0, 450.0, 30.0]), (2, 4));
+    }
 }

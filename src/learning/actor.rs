@@ -1,9 +1,10 @@
 use super::kernels::Forward;
 use super::network::{NARROW, Network, WIDTH};
+use super::physics_inputs::PhysicsInputs;
 use super::transition::constant_inputs;
 use crate::elementary::dispatch;
 use crate::qube::MAX_VOLTAGE_V;
-use crate::simulation::Actor;
+use crate::simulation::{Actor, DomainDistribution, LANES_MULTIPLE, Trajectory};
 
 /// Voltage for an output of 1, V. The simulation clips voltages beyond the plant's limit, which a
 /// Qube reaches at an output of +-1.
@@ -20,8 +21,23 @@ pub(super) struct NetworkActor<'a> {
 }
 
 impl<'a> NetworkActor<'a> {
-    /// An actor whose Qubes have these physics inputs, `[input][lanes]`.
-    pub fn with_physics(network: &'a Network, physics_inputs: Vec<f32>) -> Self {
+    /// An actor for the first `starts` trajectories of a seed. Its physics inputs, if it has any,
+    /// come from the Qubes of these trajectories.
+    pub fn on_starts(
+        network: &'a Network,
+        physics: Option<PhysicsInputs<'_>>,
+        distribution: &DomainDistribution,
+        seed: u64,
+        starts: usize,
+    ) -> Self {
+        let lanes = starts.next_multiple_of(LANES_MULTIPLE);
+        let mut physics_inputs = vec![0.0; physics.map_or(0, |physics| physics.count) * lanes];
+        if let Some(physics) = &physics {
+            for lane in 0..starts {
+                let drawn = Trajectory::draw(distribution, seed, lane as u64);
+                physics.write(&drawn.model, lane, lanes, &mut physics_inputs);
+            }
+        }
         Self { network, physics_inputs, inputs: Vec::new() }
     }
 }

@@ -14,12 +14,10 @@ use super::transition::Transition;
 use super::worst::worst_of;
 use super::{TrainError, TrainSettings};
 use crate::policy;
-use crate::simulation::{
-    DomainDistribution, Evaluation, LANES_MULTIPLE, Trajectory, evaluate_with,
-};
+use crate::simulation::{DomainDistribution, Evaluation, evaluate_with};
 
 /// Seed of the fixed starts and Qubes on which every policy is evaluated during training.
-const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
+pub(super) const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 
 /// Trains one policy by PPO in simulations drawn from `distribution` (Eilers 2019, Algorithm 1).
 ///
@@ -194,8 +192,15 @@ impl TrainingState<'_> {
         let mut smoothness =
             vec![SmoothnessFactor::limited_to(plant.limits.largest_voltage_v as f32); starts];
         let mut smooth_return = 0.0;
+        let network = &self.policy.network;
         let evaluation = evaluate_with(
-            &mut self.actor(starts),
+            &mut NetworkActor::on_starts(
+                network,
+                self.physics,
+                &self.distribution,
+                EVALUATION_SEED,
+                starts,
+            ),
             &self.distribution,
             &self.settings.simulation,
             EVALUATION_SEED,
@@ -207,20 +212,6 @@ impl TrainingState<'_> {
         let score =
             if weight > 0.0 { smooth_return / starts as f64 } else { evaluation.mean_return() };
         Scored { evaluation, score }
-    }
-
-    /// The policy without exploration; its physics inputs come from the Qubes of the first `starts`
-    /// fixed starts.
-    fn actor(&self, starts: usize) -> NetworkActor<'_> {
-        let lanes = starts.next_multiple_of(LANES_MULTIPLE);
-        let mut physics_inputs = vec![0.0; self.physics.map_or(0, |physics| physics.count) * lanes];
-        if let Some(physics) = &self.physics {
-            for lane in 0..starts {
-                let drawn = Trajectory::draw(&self.distribution, EVALUATION_SEED, lane as u64);
-                physics.write(&drawn.model, lane, lanes, &mut physics_inputs);
-            }
-        }
-        NetworkActor::with_physics(&self.policy.network, physics_inputs)
     }
 
     /// Continues the training in another distribution. The present policy becomes the best network,

@@ -1,5 +1,6 @@
 use std::sync::atomic::AtomicBool;
 
+use super::actor::NetworkActor;
 use super::curve::TrainUpdate;
 use super::export::exported;
 use super::network::{MAX_PHYSICS_INPUTS, Network};
@@ -7,7 +8,7 @@ use super::physics_inputs::PhysicsInputs;
 use super::state::TrainingState;
 use super::train::perform;
 use super::{TrainError, TrainSettings, Trained};
-use crate::simulation::DomainDistribution;
+use crate::simulation::{DomainDistribution, Evaluation, SimulationSettings, evaluate};
 
 /// A universal policy: its network has the physics of the Qube as inputs beside the observation
 /// (Yu, Liu and Turk 2019, "Policy Transfer with Strategy Optimization").
@@ -61,6 +62,26 @@ impl UniversalPolicy {
         self.at_zero.best_return
     }
 
+    /// Evaluates the policy from `starts` starts that its training has not seen, with the physics
+    /// inputs of each simulated Qube.
+    ///
+    /// # Panics
+    /// Panics as [`evaluate`] does, and if the number of inputs or the length of the observation
+    /// differs from the training's.
+    #[must_use]
+    pub fn evaluate_on_new_starts(
+        &self,
+        physics: PhysicsInputs<'_>,
+        distribution: &DomainDistribution,
+        simulation: &SimulationSettings,
+        seed: u64,
+        starts: usize,
+    ) -> Evaluation {
+        let mut actor =
+            NetworkActor::on_starts(&self.best, Some(physics), distribution, seed, starts);
+        evaluate(&mut actor, distribution, simulation, seed, starts)
+    }
+
     /// The ordinary policy at these physics inputs: `[count]`, in the order of
     /// [`PhysicsInputs::of`]. Missing inputs count as 0, and inputs beyond `count` are ignored. Its
     /// returns and its curve come from the training, in which the network had the inputs of each
@@ -101,8 +122,8 @@ mod tests {
     use crate::learning::actor::outputs;
     use crate::learning::random::Stream;
     use crate::learning::tests::small;
+    use crate::learning::train::EVALUATION_SEED;
     use crate::qube::{DomainParameter, QubeModel};
-    use crate::simulation::SimulationSettings;
 
     const OBSERVATION: [f32; 8] = [0.5, -0.3, 0.9, 0.1, -0.7, 0.4, 0.2, -0.9];
     const PHYSICS: [f32; 14] =
@@ -145,13 +166,19 @@ mod tests {
         DomainDistribution::of_specimens(vec![light, heavy]).unwrap()
     }
 
-    fn trained(threads: usize, count: usize) -> Result<UniversalPolicy, TrainError> {
+    /// The pendulum's mass as a deviation from the nominal one, relative to it.
+    fn mass_of(model: &QubeModel) -> f32 {
         let mass = crate::qube::Quantity::Parameter(DomainParameter::PendulumMass);
-        let nominal = QubeModel::NOMINAL.get(mass);
-        let of = |model: &QubeModel| vec![(model.get(mass) / nominal - 1.0) as f32; count];
-        let simulation = SimulationSettings::robust();
-        let settings = TrainSettings { threads, simulation, ..small() };
-        let physics = PhysicsInputs { count, of: &of };
+        (model.get(mass) / QubeModel::NOMINAL.get(mass) - 1.0) as f32
+    }
+
+    fn settings(threads: usize) -> TrainSettings {
+        TrainSettings { threads, simulation: SimulationSettings::robust(), ..small() }
+    }
+
+    fn trained(threads: usize, count: usize) -> Result<UniversalPolicy, TrainError> {
+        let settings = settings(threads);
+        let physics = PhysicsInputs { count, of: &|model| vec![mass_of(model); count] };
         let never = AtomicBool::new(false);
         train_universal(&two_qubes(), &settings, physics, 5, &never, |_| ())
     }
@@ -169,6 +196,21 @@ mod tests {
             assert_eq!(one.at(&[]).unwrap(), one.at_zero);
             assert!(one.best_return().is_finite());
         }
+    }
+
+    #[test]
+    fn an_evaluation_gives_the_policy_the_inputs_of_each_qube_as_its_training_does() {
+        let policy = trained(1, 1).unwrap();
+        let TrainSettings { simulation, evaluation_starts, .. } = settings(1);
+        let mean_return = |of: &(dyn Fn(&QubeModel) -> Vec<f32> + Sync)| {
+            let (physics, starts) = (PhysicsInputs { count: 1, of }, evaluation_starts.into());
+            let qubes = two_qubes();
+            policy
+                .evaluate_on_new_starts(physics, &qubes, &simulation, EVALUATION_SEED, starts)
+                .mean_return()
+        };
+        assert_eq!(mean_return(&|model| vec![mass_of(model)]), policy.best_return());
+        assert_ne!(mean_return(&|_| vec![3.0]), policy.best_return());
     }
 
     #[test]

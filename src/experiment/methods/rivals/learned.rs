@@ -9,8 +9,10 @@ use crate::experiment::methods::recordings::{MethodRecordings, Recorded, excitat
 use crate::experiment::methods::run::{
     MethodRun, OnDisk, Recommendation, Recommendations, Recommended,
 };
+use crate::experiment::series::FreshSimulations;
 use crate::experiment::{ExperimentError, Recipe};
-use crate::jobs::JobError;
+use crate::jobs::{JobError, TrainingScore};
+use crate::learning::Trained;
 use crate::policy::Policy;
 use crate::recording;
 use crate::replay::{MotionLog, MotionLogError};
@@ -173,6 +175,14 @@ impl<'a> FromRival<'a> {
 }
 
 impl FromRival<'_> {
+    /// Seed of the competing training with this number, of a rival whose training is its own.
+    fn training_seed(&self, training: u32) -> u64 {
+        match training {
+            0 => self.seed(0),
+            _ => derived_seed(self.seed(0), SeedFor::Training { candidate: 0, training }),
+        }
+    }
+
     /// Trains and stores the policy of a rival whose training is its own ([`Rival::trained`]),
     /// unless the policy is on disk.
     fn train_own_policy(
@@ -185,17 +195,24 @@ impl FromRival<'_> {
             return Ok(());
         }
         let recipe = self.recipe();
-        let given = RivalInput {
-            space: &self.space,
-            before: &RivalBelief::Unknown,
-            first_latest: 0,
-            recorded: &[],
-            simulation: &recipe.simulation(None),
-            training: &recipe.settings.training,
-            stop: self.run.experiment.stop(),
-            seed: self.seed(0),
+        let train = |training: u32| {
+            let given = RivalInput {
+                space: &self.space,
+                before: &RivalBelief::Unknown,
+                first_latest: 0,
+                recorded: &[],
+                simulation: &recipe.simulation(None),
+                training: &recipe.settings.training,
+                stop: self.run.experiment.stop(),
+                seed: self.training_seed(training),
+            };
+            Ok(self.rival.trained(&given).map_err(JobError::from)?)
         };
-        match self.rival.trained(&given).map_err(JobError::from)? {
+        let score = |trained: &Option<Trained>, fresh: &FreshSimulations| match trained {
+            Some(trained) => fresh.score(&trained.network),
+            None => TrainingScore::UNCONTESTED,
+        };
+        match series.best_of(0, train, score)? {
             Some(trained) => series.keep(0, trained),
             None => Ok(()),
         }
@@ -250,11 +267,70 @@ fn round_within(recordings: u32) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+    use std::sync::{Arc, Mutex};
+
     use super::*;
+    use crate::experiment::ExperimentEvent;
     use crate::experiment::methods::samples::{experiment, record, run, swings};
     use crate::experiment::methods::{Access, Method};
+    use crate::jobs;
+    use crate::learning::{TrainError, TrainSettings, train};
     use crate::session::RolloutAttempt;
+    use crate::simulation::DomainDistribution;
     use crate::telemetry::{Ending, Fault};
+
+    /// A rival with a training of its own, far too short to learn anything, that notes its seeds.
+    struct Short(Arc<Mutex<Vec<u64>>>);
+
+    impl Rival for Short {
+        fn data(&self) -> Data {
+            Data::None
+        }
+
+        fn update(&self, given: &RivalInput) -> Result<RivalBelief, TrainError> {
+            Ok(given.before.clone())
+        }
+
+        fn trained(&self, given: &RivalInput) -> Result<Option<Trained>, TrainError> {
+            self.0.lock().unwrap().push(given.seed);
+            let training = given.training_on_one_thread();
+            let settings = TrainSettings { updates: 1, num_envs: 16, epochs: 1, ..training };
+            let robust = DomainDistribution::robust();
+            train(&robust, &settings, given.seed, None, given.stop, |_| ()).map(Some)
+        }
+    }
+
+    #[test]
+    fn the_trainings_of_a_rival_with_a_training_of_its_own_compete() {
+        let root = tempfile::tempdir().unwrap();
+        let method = Method::Rival(RivalKind::Adr);
+        let experiment = experiment(root.path(), vec![method]);
+        let of_experiment = experiment.settings().methods.clone().unwrap();
+        let on_event = |_: ExperimentEvent| ();
+        let seeds_of = |trainings, folder: &str| {
+            let mut run = run(&experiment, method, Access::Work(&on_event));
+            run.folder = root.path().join(folder);
+            let settings = MethodSettings { trainings, ..of_experiment.clone() };
+            let seeds = Arc::<Mutex<Vec<u64>>>::default();
+            let rival = Box::new(Short(Arc::clone(&seeds)));
+            let learned = FromRival { rival, ..FromRival::new(&run, &settings, RivalKind::Adr) };
+            let recommendation = learned.recommendation(&RivalBelief::Unknown, 0);
+            learned.train_own_policy(&recommendation, 0).unwrap();
+            let series = run.series(&recommendation, 0, trainings);
+            assert!(series.folders.policy(0).policy().exists());
+            let seeds = seeds.lock().unwrap().clone();
+            (seeds, learned.seed(0))
+        };
+        let (alone, seed) = seeds_of(1, "alone");
+        assert_eq!(alone, [seed]);
+        // No training succeeds, so that all rounds are carried out.
+        let (competing, seed) = seeds_of(2, "competing");
+        assert_eq!(competing[0], seed);
+        let (count, all) = (competing.len(), 2 * jobs::ROUNDS as usize);
+        let different = competing.into_iter().collect::<BTreeSet<_>>().len();
+        assert_eq!((count, different), (all, all));
+    }
 
     #[test]
     fn a_rival_does_not_learn_from_a_void_recording() {

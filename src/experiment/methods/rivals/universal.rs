@@ -6,8 +6,9 @@ use crate::experiment::folder::make;
 use crate::experiment::methods::MethodSettings;
 use crate::experiment::methods::recordings::{MethodRecordings, Recorded};
 use crate::experiment::methods::run::{MethodRun, Recommendation, Recommendations, Recommended};
+use crate::experiment::series::FreshSimulations;
 use crate::experiment::{ExperimentError, Recipe};
-use crate::jobs::JobError;
+use crate::jobs::{JobError, TrainingScore};
 use crate::learning::{Origin, PhysicsInputs, TrainSettings, UniversalPolicy, train_universal};
 use crate::qube::QubeModel;
 use crate::search::{CmaEs, Observation, SearchError, Strategy as _};
@@ -54,8 +55,8 @@ impl<'a> FromUniversalPolicy<'a> {
         Recommendation { distribution, ..Recommendation::of(recipe, None) }
     }
 
-    /// The universal policy. The first call carries out as many trainings as the settings name, and
-    /// keeps the policy with the highest return in the evaluations during its training.
+    /// The universal policy. The first call carries out the competing trainings and keeps the best
+    /// policy, as for other methods, but scores each with the inputs of each simulated Qube.
     fn policy(&self, recommendation: &Recommendation) -> Result<&UniversalPolicy, ExperimentError> {
         if let Some(policy) = self.policy.get() {
             return Ok(policy);
@@ -71,16 +72,16 @@ impl<'a> FromUniversalPolicy<'a> {
         let train = |training: u32| {
             let seed = derived_seed(self.run.seed, SeedFor::Training { candidate: 0, training });
             let stop = self.run.experiment.stop();
-            train_universal(&distribution, &settings, physics, seed, stop, |_| ())
-                .map_err(JobError::from)
+            let trained = train_universal(&distribution, &settings, physics, seed, stop, |_| ());
+            Ok(trained.map_err(JobError::from)?)
         };
-        let mut best = train(0)?;
-        for training in 1..self.settings.trainings {
-            let policy = train(training)?;
-            if policy.best_return() > best.best_return() {
-                best = policy;
-            }
-        }
+        let score = |policy: &UniversalPolicy, fresh: &FreshSimulations| {
+            let FreshSimulations { distribution, simulation, seed, starts } = fresh;
+            let simulated =
+                policy.evaluate_on_new_starts(physics, distribution, simulation, *seed, *starts);
+            TrainingScore::of(&simulated)
+        };
+        let best = series.best_of(0, train, score)?;
         Ok(self.policy.get_or_init(|| best))
     }
 
