@@ -56,7 +56,8 @@ impl DriveReport {
 /// Each tick does five things in this order: wait, read, decide, write, record. None of them
 /// allocates, locks, logs or waits for the recorder: `records` is a wait-free ring, and a record
 /// that finds the ring full is counted as lost. For a motion that is not recorded, `records` is
-/// `None`.
+/// `None`. Only a controller that another program supplies, such as one in Python, may lock and
+/// wait for its answer, at most until a deadline within the tick.
 ///
 /// The motor counts as cold, and its heat afterwards is not returned; see [`drive_warm`].
 ///
