@@ -1,4 +1,4 @@
-use firmware_protocol::DeviceState;
+use firmware_protocol::{DeviceState, PROTOCOL_VERSION};
 
 use super::*;
 use crate::clock::VirtualClock;
