@@ -1,4 +1,5 @@
 use super::DriveReport;
+use crate::device::DeviceError;
 use crate::qube::CONTROL_PERIOD_NS;
 use crate::telemetry::{Consequence, Ending, Fault, TickRecord};
 
@@ -21,8 +22,7 @@ pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
         _ => None,
     };
     if let Err(error) = &report.disarmed {
-        let unconfirmed = Fault::OffUnconfirmed;
-        tracing::warn!("{unconfirmed}: {error}. {}", unconfirmed.operator_step());
+        warn_off_unconfirmed(error);
     }
     match fault.map(Fault::consequence) {
         Some(Consequence::Examine | Consequence::End) => fault,
@@ -33,6 +33,12 @@ pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
         }
         Some(Consequence::TryAgain) | None => fault,
     }
+}
+
+/// Tells the operator, in the log, that a motor is not confirmed to be off, and what to do.
+pub fn warn_off_unconfirmed(error: &DeviceError) {
+    let unconfirmed = Fault::OffUnconfirmed;
+    tracing::warn!("{unconfirmed}: {error}. {}", unconfirmed.operator_step());
 }
 
 /// Returns whether the computer slept during the motion: its clock stood still while it was
@@ -58,7 +64,7 @@ fn has_slept(report: &DriveReport) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{DeviceError, LinkFault};
+    use crate::device::LinkFault;
     use crate::qube::Measurement;
     use crate::telemetry::{LatencySummary, Phase, RolloutOutcome};
 

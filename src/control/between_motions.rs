@@ -187,9 +187,9 @@ enum NoRest {
 }
 
 /// Samples at 100 Hz, at least once, until arm and pendulum are at rest, for at most
-/// [`REST_TIME_NS`] and until `stop` is set; returns `None` if they are not at rest by then. If the arm is to be still,
-/// sampling goes on until it is; an arm that is at rest without being still when the time is over
-/// counts as at rest.
+/// [`REST_TIME_NS`] and until `stop` is set; returns `None` if they are not at rest by then. If the
+/// arm is to be still, sampling goes on until it is; an arm that is at rest without being still when
+/// the time is over counts as at rest.
 ///
 /// # Errors
 /// The device is armed or gone ([`NoRest`]). Lost samples are tolerated.

@@ -85,7 +85,7 @@ mod tick;
 mod voltage_watch;
 mod watch;
 
-pub use after_motion::fault_after;
+pub use after_motion::{fault_after, warn_off_unconfirmed};
 pub use count_range::CountRange;
 pub use current_watch::WEAK_A_V;
 pub use device_loss::DeviceLoss;
@@ -109,7 +109,7 @@ pub use stop_press::{PressKind, PressOutcome, StopPress};
 pub use thread::{ControlThread, Scheduling};
 pub use tick::Tick;
 pub use voltage_watch::VOLTAGE_TOLERANCE_MV;
-pub use watch::Alarm;
+pub use watch::{Alarm, reported_fault};
 
 /// Capacity of the ring from the tick to the recorder, in records. It holds the longest rollout
 /// (15 s of settling, 10 s of an excitation, 15 s of braking: 4000 ticks), so that even a stalled

@@ -3,10 +3,28 @@
 
 use crate::clock::{Clock, Nanoseconds, VirtualClock};
 use crate::device::{Device, DeviceError, Identity, LinkFault};
+use crate::estimation::{Calibration, EstimatorSettings};
 use crate::qube::{
-    CONTROL_PERIOD_NS, DomainParameters, Dynamics, HARD_STOP_RAD, Measurement, RAD_PER_COUNT,
-    State, Status, counts, runge_kutta_4,
+    CONTROL_PERIOD_NS, DomainParameters, Dynamics, HARD_STOP_RAD, Measurement, PlantModel,
+    RAD_PER_COUNT, State, Status, counts, runge_kutta_4,
 };
+use crate::safety::SafetyBox;
+use crate::telemetry::{TickRules, TickSettings};
+
+/// The settings of a rollout of a nominal Qube in the thesis's box, from the middle.
+pub fn rollout_settings(max_steps: u32) -> TickSettings {
+    TickSettings {
+        calibration: Calibration::IDENTITY,
+        estimator: EstimatorSettings::default(),
+        safety_box: SafetyBox::THESIS,
+        max_steps,
+        start_theta_rad: 0.0,
+        stops: None,
+        foresight: None,
+        rules: TickRules::NEWEST,
+        plant: PlantModel::QUBE,
+    }
+}
 
 /// A disturbance of a tick's sample.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -244,15 +244,13 @@ impl Drop for ControlThread {
 
 #[cfg(test)]
 mod tests {
-    use super::super::plant_device::{PlantDevice, TestFault};
+    use super::super::plant_device::{PlantDevice, TestFault, rollout_settings};
     use super::*;
     use crate::control::RING_CAPACITY;
     use crate::device::{DeviceError, LinkFault};
-    use crate::estimation::Calibration;
-    use crate::estimation::EstimatorSettings;
     use crate::policy::{ClassicalController, ClassicalGains, Policy};
-    use crate::qube::{PlantModel, State};
-    use crate::safety::{COOLED_LOAD, SafetyBox};
+    use crate::qube::State;
+    use crate::safety::COOLED_LOAD;
     use crate::telemetry::Ending;
 
     /// A thread whose device loses its port at sample `gone_at`, and settings for a short rollout.
@@ -263,18 +261,7 @@ mod tests {
         let stop = Arc::new(AtomicBool::new(false));
         let thread =
             ControlThread::spawn(Box::new(device), clock, Scheduling::Ordinary, stop).unwrap();
-        let settings = TickSettings {
-            calibration: Calibration::IDENTITY,
-            estimator: EstimatorSettings::default(),
-            safety_box: SafetyBox::THESIS,
-            max_steps: 100,
-            start_theta_rad: 0.0,
-            stops: None,
-            foresight: None,
-            rules: crate::telemetry::TickRules::NEWEST,
-            plant: PlantModel::QUBE,
-        };
-        (thread, settings)
+        (thread, rollout_settings(100))
     }
 
     fn rollout(thread: &ControlThread, settings: TickSettings) -> Result<Ending, ControlError> {

@@ -4,29 +4,17 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::plant_device::{PlantDevice, TestFault};
+use super::plant_device::{PlantDevice, TestFault, rollout_settings};
 use super::{ControlState, DriveReport, Motion, RING_CAPACITY, Tick, TickInput, drive};
 use crate::clock::VirtualClock;
 use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use crate::policy::{ClassicalController, ClassicalGains, Controller, Policy};
-use crate::qube::{
-    DomainParameters, Measurement, PlantModel, QubeModel, State, Status, wrap_angle,
-};
+use crate::qube::{DomainParameters, Measurement, QubeModel, State, Status, wrap_angle};
 use crate::safety::{Limit, SafetyBox};
 use crate::telemetry::{Ending, Fault, Phase, TickRecord, TickRules, TickSettings};
 
 fn settings() -> TickSettings {
-    TickSettings {
-        calibration: Calibration::IDENTITY,
-        estimator: EstimatorSettings::default(),
-        safety_box: SafetyBox::THESIS,
-        max_steps: 600,
-        start_theta_rad: 0.05,
-        stops: None,
-        foresight: None,
-        rules: TickRules::NEWEST,
-        plant: PlantModel::QUBE,
-    }
+    TickSettings { start_theta_rad: 0.05, ..rollout_settings(600) }
 }
 
 fn classical() -> Policy {

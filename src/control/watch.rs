@@ -1,4 +1,5 @@
 use super::TickInput;
+use crate::qube::Status;
 use crate::telemetry::Fault;
 
 /// Longest time without a valid sample, ns. Single late or lost answers are no fault: stalls of 13
@@ -46,6 +47,19 @@ pub enum Alarm {
 pub fn most_urgent<const N: usize>(alarms: [Option<Alarm>; N]) -> Option<Alarm> {
     let mut given = alarms.into_iter().flatten();
     given.clone().find(|alarm| matches!(alarm, Alarm::SwitchOff(_))).or_else(|| given.next())
+}
+
+/// The fault of the Qube, or the emergency stop, because of which a device with this status has
+/// switched its motor off; `None` if it reports none.
+#[must_use]
+pub fn reported_fault(status: &Status) -> Option<Fault> {
+    if status.emergency_stop {
+        Some(Fault::EmergencyStop)
+    } else if status.amplifier_fault {
+        Some(Fault::Amplifier)
+    } else {
+        status.stall_error.then_some(Fault::StallError)
+    }
 }
 
 /// Checks link, timing and the device's status flags, for every kind of motion.
@@ -130,11 +144,8 @@ impl Watch {
         if measurement.status.watchdog_tripped {
             return Some(Alarm::SwitchOff(Fault::WatchdogTripped));
         }
-        if measurement.status.amplifier_fault {
-            return Some(Alarm::SwitchOff(Fault::Amplifier));
-        }
-        if measurement.status.stall_error {
-            return Some(Alarm::SwitchOff(Fault::StallError));
+        if let Some(fault) = reported_fault(&measurement.status) {
+            return Some(Alarm::SwitchOff(fault));
         }
         if !measurement.status.armed {
             return Some(Alarm::SwitchOff(Fault::NotArmed));
@@ -152,7 +163,7 @@ impl Watch {
 mod tests {
     use super::*;
     use crate::control::DeviceLoss;
-    use crate::qube::{Measurement, Status};
+    use crate::qube::Measurement;
 
     const PERIOD_NS: u64 = 10_000_000;
 

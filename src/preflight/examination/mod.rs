@@ -24,6 +24,7 @@ use std::sync::atomic::AtomicBool;
 use self::examined_device::ExaminedDevice;
 use self::watchdog::WatchdogTest;
 use crate::clock::Clock;
+use crate::control::warn_off_unconfirmed;
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::Calibration;
 use crate::qube::PlantModel;
@@ -129,8 +130,7 @@ pub fn examine(
         // The caller latches the fault, whatever the device answers afterwards.
         Ok(()) if found.fault.is_some_and(Fault::leaves_doubt) => {
             if let Err(error) = left_off {
-                let unconfirmed = Fault::OffUnconfirmed;
-                tracing::warn!("{unconfirmed}: {error}. {}", unconfirmed.operator_step());
+                warn_off_unconfirmed(&error);
             }
             Ok(Some(found))
         }

@@ -3,9 +3,9 @@ use firmware_protocol::{RefusalReason, WATCHDOG_MS, WATCHDOG_POLL_MS};
 use super::Interruption;
 use super::examined_device::ExaminedDevice;
 use crate::clock::Nanoseconds;
-use crate::control::VOLTAGE_TOLERANCE_MV;
+use crate::control::{VOLTAGE_TOLERANCE_MV, reported_fault};
 use crate::device::DeviceError;
-use crate::qube::{Status, applied_voltage_mv};
+use crate::qube::applied_voltage_mv;
 use crate::safety::clamp_to_mv;
 use crate::telemetry::{CheckResult, Fault, Hint};
 
@@ -56,18 +56,6 @@ pub(super) struct WatchdogTest {
 impl WatchdogTest {
     fn failed(value: impl Into<String>, remedy: &str) -> Self {
         Self { result: CheckResult::fail(NAME, value, remedy), expired_ms: None, fault: None }
-    }
-}
-
-/// The fault because of which a device reports that its motor is off; `None` if the status names
-/// none.
-fn reported_fault(status: Status) -> Option<Fault> {
-    if status.emergency_stop {
-        Some(Fault::EmergencyStop)
-    } else if status.amplifier_fault {
-        Some(Fault::Amplifier)
-    } else {
-        status.stall_error.then_some(Fault::StallError)
     }
 }
 
@@ -164,7 +152,7 @@ fn try_once(examined: &mut ExaminedDevice<'_>) -> Result<Option<WatchdogTest>, I
             return Ok(Some(WatchdogTest { result, expired_ms: Some(ms), fault: None }));
         }
         if is_off {
-            let Some(fault) = reported_fault(later.status) else { return Ok(None) };
+            let Some(fault) = reported_fault(&later.status) else { return Ok(None) };
             let value = format!("the motor went off before the watchdog could act: {fault}");
             let remedy = format!("{} Then check again", fault.operator_step());
             let result = CheckResult::fail(NAME, value, remedy);
