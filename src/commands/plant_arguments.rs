@@ -8,7 +8,7 @@ use super::exit::Failure;
 use super::number_arguments::between;
 use crate::experiment::Plant;
 use crate::qube::PlantModel;
-use crate::session::{LARGEST_VARY, PolicyPaths};
+use crate::session::{LARGEST_VARY, PolicyPaths, toml_message};
 
 /// Name in an experiment's settings of the plant that is a real Qube.
 pub const REAL_QUBE: &str = "device";
@@ -75,18 +75,20 @@ impl PlantArguments {
         let text = crate::storage::read_text(path, crate::storage::SETTINGS_BYTES)
             .map_err(|error| wrong(error.to_string()))?;
         let file: PlantsFile =
-            toml::from_str(&text).map_err(|error| wrong(error.to_string().trim_end().into()))?;
+            toml::from_str(&text).map_err(|error| wrong(toml_message(&error)))?;
         file.plants.into_iter().map(|entry| specimen(entry, path, plant)).collect()
     }
 }
 
 /// Returns the specimen of a plant that an entry of the file describes.
 fn specimen(entry: PlantEntry, path: &Path, plant: &PlantModel) -> Result<Plant, Failure> {
-    let wrong = |reason: String| {
-        Failure::usage(format!("{}: plant {}: {reason}", path.display(), entry.name))
-    };
+    let place = format!("{}: plant {}:", path.display(), entry.name);
+    let wrong = |reason: String| Failure::usage(format!("{place} {reason}"));
     check_name(&entry.name).map_err(wrong)?;
-    let emulated = EmulatedArguments::of_entry(&entry).map_err(wrong)?.of_plant(plant)?;
+    let emulated = EmulatedArguments::of_entry(&entry)
+        .map_err(wrong)?
+        .of_plant(plant)
+        .map_err(|failure| failure.preceded_by(&place))?;
     let vary = part(&entry.vary.to_string())
         .map_err(|why| wrong(format!("vary = {}: {why}", entry.vary)))?;
     Ok(Plant { name: entry.name, emulated, vary })
@@ -121,19 +123,33 @@ mod tests {
     use super::*;
     use crate::experiment::PolicyFolders;
 
+    fn from_file(directory: &Path, text: &str) -> Result<Vec<Plant>, Failure> {
+        let path = directory.join("plants.toml");
+        std::fs::write(&path, text).unwrap();
+        let emulated = EmulatedArguments::default();
+        PlantArguments { emulated, vary: 0.0, plants: Some(path) }.plants(&PlantModel::QUBE)
+    }
+
+    #[test]
+    fn an_error_names_the_file_and_the_plant_or_the_line() {
+        let directory = tempfile::tempdir().unwrap();
+        for (line, expected) in [
+            ("profile = \"absent.toml\"", ["plants.toml: plant odd: ", "absent.toml"]),
+            ("gap = -3.0", ["plants.toml: plant odd: ", "gap = -3"]),
+            ("gap = \"wide\"", ["plants.toml: TOML parse error at line 5", "expected a number"]),
+        ] {
+            let text = format!("[[plants]]\nname = \"good\"\n[[plants]]\nname = \"odd\"\n{line}\n");
+            let refused = from_file(directory.path(), &text).unwrap_err();
+            let cause = refused.cause();
+            assert!(expected.iter().all(|part| cause.contains(part)), "{line}: {cause}");
+        }
+    }
+
     #[test]
     fn a_plant_that_has_the_name_of_a_file_beside_its_folder_is_refused() {
         let directory = tempfile::tempdir().unwrap();
-        let named = |name: &str| {
-            let path = directory.path().join("plants.toml");
-            std::fs::write(&path, format!("[[plants]]\nname = {name:?}\n")).unwrap();
-            let arguments = PlantArguments {
-                emulated: EmulatedArguments::default(),
-                vary: 0.0,
-                plants: Some(path),
-            };
-            arguments.plants(&PlantModel::QUBE)
-        };
+        let named =
+            |name: &str| from_file(directory.path(), &format!("[[plants]]\nname = {name:?}\n"));
         assert_eq!(named("lab").unwrap()[0].name, "lab");
         let folders = PolicyFolders::of_recommendation(directory.path(), 0);
         let paths = folders.policy(0);

@@ -76,6 +76,12 @@ pub enum SettingError {
         /// Largest number of rollouts of the session.
         rollouts: u32,
     },
+    /// The seed is larger than the integers of TOML, which are signed.
+    #[error("seed = {seed}: give a whole number from 0 to {}, the largest in TOML", i64::MAX)]
+    SeedBeyondToml {
+        /// Seed of the session.
+        seed: u64,
+    },
     /// The session identifies its Qube, and its strategy has no surrogate, whose expected
     /// improvement decides when a search around an identified Qube ends.
     #[error(

@@ -120,6 +120,10 @@ impl SessionSettings {
     /// # Errors
     /// The first setting with which no new session may begin.
     pub(super) fn check_begun(&self) -> Result<(), SettingError> {
+        // A part of an experiment may have a larger seed, which follows from the experiment's.
+        if i64::try_from(self.seed).is_err() {
+            return Err(SettingError::SeedBeyondToml { seed: self.seed });
+        }
         if !self.training.simulation.safety_box.guard.is_box() {
             return Err(SettingError::GuardOfSimulations);
         }
@@ -178,6 +182,14 @@ mod tests {
         let verified = IdentificationSettings { candidates: 1000, rollouts: 96, ..plan };
         let refused = checked([6, 4, 2], Some(verified)).unwrap_err();
         assert!(refused.contains("101000 rollouts") && refused.contains("100000"), "{refused}");
+    }
+
+    #[test]
+    fn a_new_session_has_a_seed_that_every_toml_file_can_hold() {
+        let checked = |seed| SessionSettings { seed, ..SessionSettings::quick() }.check_begun();
+        assert!(checked(i64::MAX as u64).is_ok());
+        let refused = checked(i64::MAX as u64 + 1).unwrap_err().to_string();
+        assert!(refused.starts_with("seed = 9223372036854775808"), "{refused}");
     }
 
     #[test]

@@ -1,7 +1,8 @@
 use super::retired::RENAMED;
 
-/// The parser's words for the types of whole numbers, and the words that replace them in messages.
-const WHOLE_NUMBERS: [(&str, &str); 4] = [
+/// The parser's words for the types of numbers, and the words that replace them in messages.
+const NUMBERS: [(&str, &str); 5] = [
+    ("expected f64", "expected a number"),
     ("expected u64", "expected a whole number from 0 on"),
     ("expected u32", "expected a whole number from 0 to 4 294 967 295"),
     ("expected u16", "expected a whole number from 0 to 65 535"),
@@ -12,7 +13,7 @@ const WHOLE_NUMBERS: [(&str, &str); 4] = [
 /// names in it has no earlier name of an entry beside the present name.
 pub(crate) fn toml_message(error: &toml::de::Error) -> String {
     let mut message = error.to_string().trim_end().to_owned();
-    for (kind, words) in WHOLE_NUMBERS {
+    for (kind, words) in NUMBERS {
         if let Some(above) = message.strip_suffix(kind) {
             message = format!("{above}{words}");
         }
