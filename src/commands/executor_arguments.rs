@@ -229,7 +229,8 @@ impl ExecutorArguments {
         }
         let work = worker_command(&program, &root);
         let stale = Duration::from_secs_f64(self.stale.unwrap_or(STALE_S));
-        let terms = Terms::new(stale, self.tries.unwrap_or(TRIES));
+        let by_hand = matches!(self.executor, ExecutorChoice::Folder);
+        let terms = Terms { by_hand, ..Terms::new(stale, self.tries.unwrap_or(TRIES)) };
         let failed = |error| failures::job_folder(&error, stop);
         let folder = JobFolder::create(Arc::new(MachineDisk), &root, terms).map_err(failed)?;
         let starter: Option<Box<dyn Starter>> = match &self.executor {

@@ -19,9 +19,10 @@ use crate::storage::MachineDisk;
 ///
 /// A session or experiment with --executor puts its trainings into a folder on a file system that
 /// all computers share, and any number of workers do them, one core each. Policies do not depend on
-/// the worker. A training whose worker dies is done by another one. The worker ends after a time
-/// without work (--linger), or when the session or experiment has ended; on SIGTERM it gives its
-/// training back and exits with 143.
+/// the worker. A training whose worker dies is done by another one. The worker ends when the session or
+/// experiment has ended, or after a time without work (--linger); with --executor folder, where
+/// nobody starts another one, only when the session or experiment has died, too. On SIGTERM it
+/// gives its training back and exits with 143.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil work /shared/monday/jobs                    # one worker\n  \
@@ -35,7 +36,8 @@ pub struct Arguments {
     #[arg(long, value_name = "K/N")]
     slot: Option<Slot>,
 
-    /// End after this time without work, s
+    /// End after this time without work, s; with --executor folder counted from the death of the
+    /// session or experiment
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = seconds)]
     linger: f64,
 

@@ -257,6 +257,39 @@ fn a_living_claim_is_kept_until_it_is_stale() -> bool {
 }
 
 #[test]
+fn a_worker_that_was_started_by_hand_stays_while_the_coordinator_lives() {
+    assert!(outlives_its_work(false) == Some(false));
+    // A busy computer may hold this thread up for so long that the coordinator counts as dead.
+    let outlived = (0..10).find_map(|_| outlives_its_work(true));
+    assert!(outlived.is_some_and(|it| it), "{outlived:?}");
+}
+
+/// Starts a worker without work and beats as the coordinator for three stale times, then stops, and
+/// waits until the worker ends. Returns whether the worker outlived the beats; `None` if a gap
+/// between two beats was so long that a worker may take the coordinator for dead.
+fn outlives_its_work(by_hand: bool) -> Option<bool> {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    let terms = Terms { by_hand, ..hasty() };
+    let folder = JobFolder::create(Arc::new(MachineDisk), root, terms).unwrap();
+    let mut heartbeat = folder.coordinate(&elsewhere(), &never()).unwrap().heartbeat;
+    let mut worker = WorkerProcess::start(root, &["--linger", "0"]);
+    let (begun, stale) = (Instant::now(), folder.terms().stale());
+    let (mut beaten, mut longest_gap, mut has_ended) = (begun, Duration::ZERO, false);
+    while begun.elapsed() < stale * 3 && !has_ended {
+        heartbeat.beat().unwrap();
+        longest_gap = longest_gap.max(beaten.elapsed());
+        beaten = Instant::now();
+        std::thread::sleep(Duration::from_millis(20));
+        has_ended = worker.child.try_wait().unwrap().is_some();
+    }
+    // Without an ending and without beats the coordinator has died.
+    drop(heartbeat);
+    assert!(worker.end().success());
+    (!has_ended || longest_gap < stale / 2).then_some(!has_ended)
+}
+
+#[test]
 fn a_half_written_result_is_made_again() {
     let directory = tempfile::tempdir().unwrap();
     let (root, jobs) = (directory.path(), jobs(2, 1));

@@ -89,6 +89,20 @@ impl JobFolder {
         }
     }
 
+    /// Returns whether the last coordinator lives, which `watch` judges at the time `now`.
+    ///
+    /// # Errors
+    /// A file operation fails.
+    pub(super) fn is_coordinated(
+        &self,
+        watch: &mut HeartbeatWatch,
+        now: Duration,
+    ) -> Result<bool, JobFolderError> {
+        let Some(last) = self.last_coordinator()? else { return Ok(false) };
+        let state = self.coordinator_state(last)?;
+        Ok(state.ending.is_none() && !watch.is_dead(&last.to_string(), &state, now))
+    }
+
     /// Number of the last coordinator; `None` if the folder has had none.
     fn last_coordinator(&self) -> Result<Option<u32>, JobFolderError> {
         let names = self.names("coordinators")?;

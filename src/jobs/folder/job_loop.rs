@@ -31,8 +31,10 @@ pub(super) struct JobLoop<'a> {
     /// Ends the loop, and the training under way.
     halt: &'a AtomicBool,
     on_event: &'a mut dyn FnMut(WorkerEvent),
+    /// Watch over the other workers' claims.
     watch: HeartbeatWatch,
-    /// Start of the watch.
+    coordinator_watch: HeartbeatWatch,
+    /// Start of both watches.
     begun: Instant,
     report: WorkReport,
 }
@@ -95,13 +97,16 @@ impl<'a> JobLoop<'a> {
         halt: &'a AtomicBool,
         on_event: &'a mut dyn FnMut(WorkerEvent),
     ) -> Self {
-        let watch = HeartbeatWatch::new(worker.holder.clone(), worker.folder.terms().stale());
+        let new_watch =
+            || HeartbeatWatch::new(worker.holder.clone(), worker.folder.terms().stale());
+        let (watch, coordinator_watch) = (new_watch(), new_watch());
         let (begun, report) = (Instant::now(), WorkReport::default());
-        Self { worker, alive, halt, on_event, watch, begun, report }
+        Self { worker, alive, halt, on_event, watch, coordinator_watch, begun, report }
     }
 
     /// Carries out jobs until the worker is halted, the folder is closed, or there was no work for
-    /// the time that the worker lingers.
+    /// the time that the worker lingers. A worker that was started by hand begins to count this
+    /// time when the coordinator has died.
     ///
     /// # Errors
     /// File operations fail for longer than the worker is patient, or a result cannot be stored.
@@ -126,8 +131,12 @@ impl<'a> JobLoop<'a> {
             if pass.has_finished {
                 continue;
             }
+            let stays = self.stays();
+            if stays {
+                last_work = Instant::now();
+            }
             // Another worker may die and leave its job, so this worker waits while others work.
-            let lingers = last_work.elapsed() < self.worker.linger;
+            let lingers = stays || last_work.elapsed() < self.worker.linger;
             if !pass.others_work && !has_failed && !lingers {
                 return Ok(self.report);
             }
@@ -141,6 +150,17 @@ impl<'a> JobLoop<'a> {
             }
             wait = (wait * 2).min(LONGEST_WAIT).min(self.worker.folder.terms().stale() / 2);
         }
+    }
+
+    /// Returns whether this worker was started by hand and the coordinator lives. A coordinator
+    /// whose file cannot be read counts as living, because the same disk decides how long the
+    /// worker is patient.
+    fn stays(&mut self) -> bool {
+        let folder = &self.worker.folder;
+        folder.terms().by_hand
+            && folder
+                .is_coordinated(&mut self.coordinator_watch, self.begun.elapsed())
+                .unwrap_or(true)
     }
 
     /// Looks at the folder once, and carries out each job that this worker can claim.

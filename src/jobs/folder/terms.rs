@@ -24,6 +24,10 @@ pub struct Terms {
     pub stale_ms: u64,
     /// Number of failed tries after which a job is given up.
     pub tries: u32,
+    /// True if a person starts the workers, so that nobody replaces one that has ended: workers
+    /// then stay while the coordinator lives, also without work.
+    #[serde(default)]
+    pub by_hand: bool,
 }
 
 impl Default for Terms {
@@ -40,12 +44,12 @@ const BEATS_BEFORE_STALE: u64 = 12;
 
 impl Terms {
     /// The terms under which this program's processes count as dead after the time `stale`, and a
-    /// job is given up after `tries` failed tries.
+    /// job is given up after `tries` failed tries. Workers end when they have no work.
     #[must_use]
     pub fn new(stale: Duration, tries: u32) -> Self {
         let stale_ms = stale.as_millis() as u64;
         let beat_ms = stale_ms / BEATS_BEFORE_STALE;
-        Self { format: FORMAT, program: program(), beat_ms, stale_ms, tries }
+        Self { format: FORMAT, program: program(), beat_ms, stale_ms, tries, by_hand: false }
     }
 
     /// Returns whether processes of this program can work under these terms.

@@ -2,6 +2,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use super::absent_workers::AbsentWorkers;
 use super::wanted_jobs::{Failure, State, WantedJobs};
 use super::{AtEnd, LONGEST_WAIT};
 use crate::jobs::folder::{ClaimEnding, Heartbeat, HeartbeatWatch, Holder, Terms};
@@ -29,7 +30,9 @@ pub(super) struct FolderWatch<'a> {
     /// Time of the last search for jobs that have failed too often.
     claims_checked: Instant,
     worker_pool: Option<WorkerPool>,
-    /// Time at which the pool last started missing workers; `None` if no job was open then.
+    /// Watch over the workers of a folder without a pool.
+    absent_workers: AbsentWorkers,
+    /// Time of the last look at the workers; `None` if no job was open then.
     tended: Option<Instant>,
     /// Time for which a failing start of workers is repeated.
     tending: Patience,
@@ -53,6 +56,7 @@ impl<'a> FolderWatch<'a> {
             claim_watch: HeartbeatWatch::new(Holder::this_process(), terms.stale()),
             claims_checked: now,
             worker_pool,
+            absent_workers: AbsentWorkers::new(terms.stale()),
             tended: None,
             tending: Patience::new(FOLDER_PATIENCE),
             terms,
@@ -116,22 +120,33 @@ impl<'a> FolderWatch<'a> {
         }
     }
 
-    /// Starts missing workers, at once for the first open job and then once a beat.
+    /// Starts missing workers, or warns the operator who has to start them: at once for the first
+    /// open job and then once a beat.
     fn tend_workers(&mut self) {
-        let Some(pool) = &mut self.worker_pool else { return };
         if self.tended.is_some_and(|tended| tended.elapsed() < self.terms.beat()) {
             return;
         }
         let open = self.wanted.lock().waiting.len();
+        self.tended = (open > 0).then(Instant::now);
+        let folder = &self.wanted.folder;
+        let Some(pool) = &mut self.worker_pool else {
+            // A folder that cannot be read also fails the search for results.
+            if self.absent_workers.look(folder, open).unwrap_or(false) {
+                let (root, stale) = (folder.root().display(), self.terms.stale());
+                tracing::warn!(
+                    "trainings have waited in {root} for {stale:.0?}, and no worker lives there: start one"
+                );
+            }
+            return;
+        };
         let results = self.wanted.results.load(Ordering::Relaxed);
-        match pool.start_missing(&self.wanted.folder, open, results).map_err(Failure::from) {
+        match pool.start_missing(folder, open, results).map_err(Failure::from) {
             Ok(()) => self.tending.renew(),
             Err(failure) if failure.may_pass() && self.tending.lasts() => {
                 tracing::warn!("{}", JobError::from(failure));
             }
             Err(failure) => self.wanted.fail(&failure),
         }
-        self.tended = (open > 0).then(Instant::now);
     }
 
     /// Waits until the next search for results is due, a caller waits for one more job, or the

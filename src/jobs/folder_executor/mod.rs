@@ -1,7 +1,8 @@
 //! The executor whose workers share a folder: the callers' side ([`FolderExecutor`]), the jobs
 //! whose results the callers need ([`wanted_jobs`]), and the thread that watches the folder for the
-//! callers ([`folder_watch`]).
+//! callers ([`folder_watch`]), also for workers that nobody starts ([`absent_workers`]).
 
+mod absent_workers;
 mod folder_watch;
 mod patient_caller;
 #[cfg(test)]
