@@ -1,5 +1,6 @@
 """The command ``qube-hil``, which the package contains."""
 
+import os
 import signal
 import sys
 
@@ -10,4 +11,4 @@ def main() -> int:
     """Runs the program with the arguments of this process and returns its exit code."""
     # The program handles Ctrl-C itself. Python's handler would only note the signal until the program returns.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    return _main(["qube-hil", *sys.argv[1:]])
+    return _main(os.path.abspath(sys.argv[0]), ["qube-hil", *sys.argv[1:]])

@@ -1,7 +1,7 @@
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use super::exit::Failure;
@@ -22,6 +22,16 @@ const WORKERS: u32 = 8;
 const TRIES: u32 = 3;
 /// Default time without a sign of life after which a worker counts as dead, s.
 const STALE_S: f64 = 60.0;
+
+/// Path of the command that runs this program, where the process has another program's file, such
+/// as Python's.
+static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+
+/// Names the command with which workers start this program, in place of the process's own file. The
+/// first name of a process holds.
+pub fn name_program(program: PathBuf) {
+    PROGRAM.get_or_init(|| program);
+}
 
 /// The arguments that select the computers on which a command trains its policies.
 #[derive(Debug, clap::Args)]
@@ -254,7 +264,10 @@ impl ExecutorArguments {
     fn worker_program(&self) -> Result<PathBuf, Failure> {
         match &self.worker_program {
             Some(program) => Ok(program.clone()),
-            None => std::env::current_exe().map_err(Failure::failed),
+            None => PROGRAM
+                .get()
+                .cloned()
+                .map_or_else(|| std::env::current_exe().map_err(Failure::failed), Ok),
         }
     }
 

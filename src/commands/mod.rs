@@ -67,6 +67,7 @@ mod work;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -137,13 +138,17 @@ enum Command {
 #[must_use]
 pub fn main() -> ExitCode {
     oversize::report_as_errors();
-    ExitCode::from(main_with(std::env::args_os().collect()))
+    ExitCode::from(main_with(None, std::env::args_os().collect()))
 }
 
 /// Runs the program with these arguments, of which the first is the program's name, and returns the
-/// exit code.
+/// exit code. `program` is the path of the command with which workers start the program; `None` is
+/// for a process that runs the program's own file.
 #[must_use]
-pub fn main_with(arguments: Vec<OsString>) -> u8 {
+pub fn main_with(program: Option<PathBuf>, arguments: Vec<OsString>) -> u8 {
+    if let Some(program) = program {
+        executor_arguments::name_program(program);
+    }
     let command_line = match command_line::read(arguments) {
         Ok(command_line) => command_line,
         Err(exit_code) => return exit_code,
