@@ -2,23 +2,29 @@ use super::collect::Batch;
 use super::transition::{ExtraInputs, TrajectoryEnd, Transition};
 use crate::qube::MAX_STEPS;
 
-/// Selects the transitions of the trajectories with the lowest returns: `share` of a batch's
-/// trajectories, rounded up (EPOpt's percentile, Rajeswaran et al. 2017, algorithm 1).
+/// Selects the transitions of the trajectories with the lowest returns: `share` of the trajectories
+/// that can be compared, rounded up (EPOpt's percentile, Rajeswaran et al. 2017, algorithm 1).
 ///
-/// Trajectories are compared by their mean reward a step. A trajectory that was cut short would
-/// have gone on earning, so its mean is over the steps taken. A trajectory that left the box earns
-/// nothing more, so its mean is over the 600 steps of a whole trajectory.
+/// Trajectories are compared by their mean reward a step. A trajectory that left the box earns
+/// nothing more, so its mean is over the 600 steps of a whole trajectory. A trajectory that the
+/// batch's end cut short cannot be compared with a longer one and is left out: it began later in
+/// the batch, after a fall, and a swing-up's first steps earn little on any Qube.
 pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
     let mut first = 0;
     let mut trajectories: Vec<(f64, usize, TrajectoryEnd)> = Vec::with_capacity(batch.ends.len());
+    let mut longest = 0;
     for own in &batch.ends {
         let steps = own.last + 1 - first;
         let earned: f64 =
             batch.transitions[first..=own.last].iter().map(|it| f64::from(it.reward)).sum();
         let over = if own.left_box { MAX_STEPS } else { steps };
+        if !own.left_box {
+            longest = longest.max(steps);
+        }
         trajectories.push((earned / over as f64, first, *own));
         first = own.last + 1;
     }
+    trajectories.retain(|(_, first, own)| own.left_box || own.last + 1 - first == longest);
     // Ties stay in order, so that the same batch gives the same transitions.
     trajectories.sort_by(|one, other| one.0.total_cmp(&other.0));
     let kept = ((share * trajectories.len() as f32).ceil() as usize).clamp(1, trajectories.len());
@@ -66,6 +72,18 @@ mod tests {
         assert_eq!(kept.transitions.len(), 300);
         let fallen = worst_of(&batch(&[(0.9, 100, false), (0.9, 400, true)]), 0.5);
         assert_eq!(fallen.transitions.len(), 400);
+    }
+
+    #[test]
+    fn the_rest_of_a_batch_after_a_fall_is_not_among_the_worst() {
+        // The trajectory of 50 steps began after a fall and earned little, as every swing-up does.
+        let kept = worst_of(
+            &batch(&[(0.9, 550, true), (0.1, 50, false), (0.7, 600, false), (0.9, 600, false)]),
+            0.5,
+        );
+        assert_eq!(kept.ends.len(), 2);
+        assert!(kept.transitions.iter().all(|it| it.reward > 0.5));
+        assert_eq!(kept.transitions.len(), 550 + 600);
     }
 
     #[test]
