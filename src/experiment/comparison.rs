@@ -40,10 +40,8 @@ pub struct Comparison {
     /// p-value of `return_difference`: a permutation test of the signs of the pairs' differences
     /// (Fisher 1935), two-sided, corrected by Holm in the same way; 1 where there is no difference.
     pub return_p: f64,
-    /// Share of all combinations of one policy of each recipe, also of policies with unequal
-    /// numbers, in which the second's return is higher; policies without a return are left out, and
-    /// ties count half (Vargha and Delaney 2000). Equal recipes have 0.5. NaN where a recipe has no
-    /// policy with a return.
+    /// Share of the pairs in which the second's return is higher; pairs without a return are left
+    /// out, and ties count half. Equal recipes have 0.5. NaN where no pair has returns.
     pub superiority: f64,
 }
 
@@ -122,7 +120,7 @@ fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
         success_p: mcnemar(gained, lost),
         return_difference: mean(&differences),
         return_p: sign_permutation(&differences),
-        superiority: superiority(&first.returns(), &second.returns()),
+        superiority: superiority(&differences),
     })
 }
 
@@ -166,17 +164,14 @@ fn sign_permutation(differences: &[f64]) -> f64 {
     (as_extreme + 1) as f64 / (PERMUTATIONS + 1) as f64
 }
 
-/// Share of all pairs of a value of `first` and a value of `second` in which the second is higher;
-/// ties count half. NaN if a sample is empty.
-fn superiority(first: &[f64], second: &[f64]) -> f64 {
-    let score = |one: f64, other: f64| match other.total_cmp(&one) {
+/// Share of paired differences above 0; ties count half. NaN if there are no differences.
+fn superiority(differences: &[f64]) -> f64 {
+    let score = |difference: &f64| match difference.total_cmp(&0.0) {
         std::cmp::Ordering::Greater => 1.0,
         std::cmp::Ordering::Equal => 0.5,
         std::cmp::Ordering::Less => 0.0,
     };
-    let sum: f64 =
-        first.iter().flat_map(|one| second.iter().map(|other| score(*one, *other))).sum();
-    sum / (first.len() * second.len()) as f64
+    differences.iter().map(score).sum::<f64>() / differences.len() as f64
 }
 
 /// Corrects p-values for their number by Holm's step-down method.
@@ -240,10 +235,10 @@ mod tests {
     }
 
     #[test]
-    fn equal_recipes_have_a_superiority_of_one_half() {
-        assert_eq!(superiority(&[1.0, 2.0], &[1.0, 2.0]), 0.5);
-        assert_eq!(superiority(&[1.0, 2.0], &[3.0, 4.0]), 1.0);
-        assert!(superiority(&[], &[1.0]).is_nan());
+    fn superiority_counts_pairs_and_ties_half() {
+        assert_eq!(superiority(&[0.0, 0.0]), 0.5);
+        assert_eq!(superiority(&[2.0, 0.1, -9.0, 0.0]), 0.625);
+        assert!(superiority(&[]).is_nan());
     }
 
     /// A test at 5 % may find a difference between equal recipes in one of twenty experiments.

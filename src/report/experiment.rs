@@ -288,9 +288,8 @@ fn add_comparisons(page: &mut Page, kind: &str, comparisons: &[&Comparison]) {
     page.paragraph(&format!(
         "The differences are over pairs of policies of equal number, which have equal seeds. Their p-values are \
          McNemar's exact test and a permutation test, corrected by Holm for the number of comparisons on the plant \
-         at the same number of real rollouts. The last column compares each policy of \
-         the first {kind} with each of the second: the share of these pairs in which the second's return is \
-         higher; ties count half.",
+         at the same number of real rollouts. The last column is the share of \
+         the pairs in which the second's return is higher; ties count half.",
     ));
     let finite = |value: f64, text: String| {
         Cell::Number(if value.is_finite() { text } else { "–".into() })
