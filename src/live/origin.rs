@@ -66,14 +66,17 @@ impl Admission {
         }
     }
 
+    /// Returns whether this is an address or a name of this computer: its host name, the first part
+    /// of that, or the first part in the domain `local`. Other names in the domain name system are
+    /// refused, because any site may give this computer's address a name.
     fn is_own(&self, name: &str) -> bool {
+        let first = self.hostname.split('.').next().unwrap_or_default();
         let is_hostname = |own: &str| !own.is_empty() && name.eq_ignore_ascii_case(own);
         is_address(name)
             || is_loopback(name)
             || is_hostname(&self.hostname)
-            || name
-                .strip_suffix(".local")
-                .is_some_and(|first| first.eq_ignore_ascii_case(&self.hostname))
+            || is_hostname(first)
+            || !first.is_empty() && is_hostname(&format!("{first}.local"))
     }
 }
 
@@ -128,6 +131,22 @@ mod tests {
             ["evil.example:8765", "localhost.evil.example", "bench.evil.example", "", ".local"]
         {
             assert_eq!(check(host, None, true), Err(Refusal::Host), "{host}");
+        }
+    }
+
+    #[test]
+    fn the_first_part_of_a_full_host_name_is_answered_too() {
+        let hostname = "bench.cs.uni.example".to_owned();
+        let admission = Admission { hostname, origins: Vec::new() };
+        for (name, is_own) in [
+            ("bench.cs.uni.example", true),
+            ("Bench", true),
+            ("bench.local", true),
+            ("bench.evil.example", false),
+            ("cs.uni.example", false),
+            ("", false),
+        ] {
+            assert_eq!(admission.is_own(name), is_own, "{name}");
         }
     }
 
