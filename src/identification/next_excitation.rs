@@ -213,10 +213,11 @@ mod tests {
             println!(
                 "{shape:?} of {voltage_v} V: {information_nats} nats expected, {gained} gained"
             );
-            // The second recording changes the estimate of the noise too. Neither a logarithm to
-            // the base 2 nor a missing factor of one half is within these limits.
-            let ratio = gained / information_nats;
-            assert!((0.65..1.6).contains(&ratio), "{expected:?}, but the gain is {gained} nats");
+            // The second recording changes the estimate of the noise too, and with it the errors in
+            // all fourteen directions. For the best excitation neither a logarithm to the base 2
+            // nor a missing factor of one half is within these limits.
+            let off = (gained - information_nats).abs();
+            assert!(off < 4.0, "{expected:?}, but the gain is {gained} nats");
         }
         let is_chirp_again =
             |it: &ExpectedExcitation| it.shape == ExcitationShape::Chirp && it.voltage_v == 1.5;

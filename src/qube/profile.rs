@@ -265,9 +265,9 @@ impl Correlations {
     /// Builds the correlations from a full matrix.
     #[must_use]
     pub fn new(names: Vec<String>, matrix: &[Vec<f64>]) -> Self {
-        // Four decimals carry all the information.
-        let rounded = |value: &f64| (value * 1e4).round() / 1e4;
-        let row = |(index, row): (usize, &Vec<f64>)| row[..=index].iter().map(rounded).collect();
+        // A rounded correlation would blur the combinations that the recordings determine best: their
+        // matrix has eigenvalues down to 1e-6.
+        let row = |(index, row): (usize, &Vec<f64>)| row[..=index].to_vec();
         Self { names, rows: matrix.iter().enumerate().map(row).collect() }
     }
 
@@ -314,7 +314,8 @@ impl Correlations {
     /// The first row, from 1, with which the matrix is not positive semidefinite, by the Cholesky
     /// decomposition; the rows have the right lengths.
     fn first_impossible_row(&self) -> Option<usize> {
-        // Rounding to four decimals makes an eigenvalue of 0 slightly negative.
+        // Profiles of earlier versions have four decimals, which may make an eigenvalue of 0 slightly
+        // negative.
         const ROUNDING: f64 = 0.01;
         let mut factor: Vec<Vec<f64>> = Vec::new();
         for (index, row) in self.rows.iter().enumerate() {

@@ -2,22 +2,15 @@
 
 use super::chart::{Axis, Chart, Mark, Series, Style};
 use super::draws::QuantityDraws;
-use super::page::significant;
 use crate::qube::{DomainParameter, Quantity};
 
 /// Number of points over the range of the figure, and again over the range of each density.
 const PLACES: usize = 121;
 
-/// Returns the figure of the named draws of a quantity, and a sentence about the draws at the ends
-/// of the range. Draws without spread are not in the figure, and draws at the ends have no density.
-/// The sentence is empty if every end has less than [`MENTIONED_SHARE`] of the draws. The
-/// horizontal axis reaches no value that no draw can have, except the nominal value, which a line
-/// marks.
-pub fn density_chart(
-    quantity: Quantity,
-    curves: &[(&str, &QuantityDraws)],
-    nominal: f64,
-) -> (Chart, String) {
+/// Returns the figure of the named draws of a quantity. Draws without spread are not in the figure.
+/// The horizontal axis reaches no value that no draw can have, except the nominal value, which a
+/// line marks.
+pub fn density_chart(quantity: Quantity, curves: &[(&str, &QuantityDraws)], nominal: f64) -> Chart {
     let spread = || {
         let named = curves.iter().enumerate();
         named.filter(|(_, (_, it))| it.has_spread())
@@ -28,7 +21,7 @@ pub fn density_chart(
     let largest = |of: fn(&QuantityDraws) -> f64| {
         spread().map(|(_, (_, it))| of(it)).chain([nominal]).fold(f64::NEG_INFINITY, f64::max)
     };
-    let (low, high) = (smallest(|it| it.inner.0), largest(|it| it.inner.1));
+    let (low, high) = (smallest(|it| it.drawn.0), largest(|it| it.drawn.1));
     let margin = 0.03 * (high - low);
     let low = (low - margin).max(smallest(|it| it.range.0));
     let high = (high + margin).min(largest(|it| it.range.1));
@@ -38,7 +31,7 @@ pub fn density_chart(
     // A narrow density needs points of its own, because the points of the whole range may miss it;
     // the points just outside it let the curve fall to 0 at its ends.
     let own = spread().flat_map(|(_, (_, it))| {
-        let (from, to) = it.inner;
+        let (from, to) = it.drawn;
         between(from, to).chain([from.next_down(), to.next_up()])
     });
     let mut xs: Vec<f64> = between(low, high).chain(own).collect();
@@ -49,7 +42,7 @@ pub fn density_chart(
         Series::new(*name, style, index, xs.iter().map(|&x| Some(it.density(x))))
     });
     let unit = quantity.unit();
-    let chart = Chart {
+    Chart {
         x: Axis::new(words(quantity), unit),
         y: Axis::new("density", &per(unit)),
         series: series.collect(),
@@ -58,35 +51,7 @@ pub fn density_chart(
         height: Some(210),
         xs,
         ..Chart::default()
-    };
-    (chart, at_ends(quantity, curves))
-}
-
-/// Smallest share of draws at an end of their range that a figure's sentence mentions.
-const MENTIONED_SHARE: f64 = 0.005;
-
-/// Returns a sentence with the shares of the draws at the ends of their ranges; empty if every
-/// share is below [`MENTIONED_SHARE`].
-fn at_ends(quantity: Quantity, curves: &[(&str, &QuantityDraws)]) -> String {
-    let unit = if quantity.unit() == "1" { "" } else { quantity.unit() };
-    let told = curves.iter().filter_map(|(name, it)| {
-        let ends = [(it.at_ends[0], it.range.0), (it.at_ends[1], it.range.1)];
-        let parts: Vec<String> = ends
-            .into_iter()
-            .filter(|(share, _)| *share >= MENTIONED_SHARE)
-            .map(|(share, end)| {
-                let value = format!("{} {unit}", significant(end));
-                format!("{:.0} % at {}", 100.0 * share, value.trim_end())
-            })
-            .collect();
-        (!parts.is_empty()).then(|| format!("{name}, {}", parts.join(" and ")))
-    });
-    let told: Vec<String> = told.collect();
-    if told.is_empty() {
-        return String::new();
     }
-    let told = told.join("; ");
-    format!("Draws piled up at an end of the range, which the curve leaves out: {told}.")
 }
 
 /// The unit of the density of a quantity with this unit.
@@ -128,18 +93,15 @@ mod tests {
     use crate::simulation::{Direction, DomainDistribution};
 
     #[test]
-    fn a_figure_reaches_no_impossible_value_and_mentions_the_draws_at_an_end() {
+    fn a_figure_reaches_no_impossible_value() {
         let friction = Quantity::Nonideality(Nonideality::CoulombTorque);
         let error = Direction::new(&[(friction, 1e-4)]);
         let draws = QuantityDraws::of(&DomainDistribution::nominal().along(&[error]));
         let nominal = PlantModel::QUBE.nominal().get(friction);
         let curves = [("in its training", &draws[friction.index()])];
-        let (chart, sentence) = density_chart(friction, &curves, nominal);
+        let chart = density_chart(friction, &curves, nominal);
         let [low, high] = chart.x_range.unwrap();
         assert!(low == 0.0 && high > 3e-4, "{low} to {high}");
         assert!(chart.xs.iter().all(|x| *x >= 0.0));
-        // Half of the draws would be below 0; some more lie within a hundredth of the draws' width.
-        assert!((0.49..0.54).contains(&draws[friction.index()].at_ends[0]));
-        assert!(sentence.ends_with(" % at 0 N m."), "{sentence}");
     }
 }

@@ -27,14 +27,6 @@ const CELLS: usize = 400;
 /// wide enough for the number of draws.
 const KERNEL_CELLS: f64 = 4.0;
 
-/// Largest distance from an end of the range at which a draw may count as at this end, as a
-/// fraction of the distance between the smallest and the largest draw.
-const NEAR_END: f64 = 0.01;
-
-/// Factor by which the draws within [`NEAR_END`] of an end must outnumber the draws in the same
-/// distance beyond, so that they count as piled up at the end.
-const PILED_UP: usize = 3;
-
 /// The draws of one quantity, summed up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct QuantityDraws {
@@ -44,14 +36,10 @@ pub struct QuantityDraws {
     pub standard_deviation: f64,
     /// The smallest and the largest value that a draw can have.
     pub range: (f64, f64),
-    /// Shares of the draws that are piled up at the lower and at the upper end of the range. A
-    /// joint deviation that would move a value out of its range puts it at the end, from where the
-    /// other deviations may move it a little.
-    pub at_ends: [f64; 2],
-    /// Smallest and largest of the draws that are piled up at no end; equal if there are none.
-    pub inner: (f64, f64),
-    /// Density of the draws in cells of equal width from the smallest to the largest inner draw,
-    /// smoothed; together with the shares at the ends it adds up to 1. Empty without spread.
+    /// Smallest and largest of the draws.
+    pub drawn: (f64, f64),
+    /// Density of the draws in cells of equal width from the smallest to the largest draw, smoothed;
+    /// it adds up to 1. Empty without spread.
     cells: Vec<f64>,
 }
 
@@ -83,30 +71,12 @@ impl QuantityDraws {
         let mean = first + values.iter().map(|value| value - first).sum::<f64>() / count;
         let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
         let standard_deviation = (squares / count).sqrt();
-        let has_spread = standard_deviation > NEGLIGIBLE;
         let smallest = values.iter().copied().fold(f64::INFINITY, f64::min);
         let largest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let near = NEAR_END * (largest - smallest);
-        let piled_up = |is_within: &dyn Fn(f64, f64) -> bool| {
-            let count = |distance| values.iter().filter(|it| is_within(**it, distance)).count();
-            let (closest, close) = (count(near), count(2.0 * near));
-            if has_spread && closest > PILED_UP * (close - closest) { closest } else { 0 }
-        };
-        let counts = [
-            piled_up(&|value, distance| value <= range.0 + distance),
-            piled_up(&|value, distance| value >= range.1 - distance),
-        ];
-        let at_ends = counts.map(|it| it as f64 / count);
-        let [low, high] = [counts[0] > 0, counts[1] > 0];
-        let is_inner =
-            |value: f64| !(low && value <= range.0 + near || high && value >= range.1 - near);
-        let inner = || values.iter().copied().filter(|it| is_inner(*it));
-        let ends =
-            (inner().fold(f64::INFINITY, f64::min), inner().fold(f64::NEG_INFINITY, f64::max));
-        let ends = if ends.0 <= ends.1 { ends } else { (mean, mean) };
-        let is_spread = has_spread && ends.1 - ends.0 > NEGLIGIBLE;
-        let cells = if is_spread { density(inner(), ends, values.len()) } else { Vec::new() };
-        Self { mean, standard_deviation, range, at_ends, inner: ends, cells }
+        let is_spread = standard_deviation > NEGLIGIBLE && largest - smallest > NEGLIGIBLE;
+        let drawn = (smallest, largest);
+        let cells = if is_spread { density(values, drawn) } else { Vec::new() };
+        Self { mean, standard_deviation, range, drawn, cells }
     }
 
     /// Returns whether there is a density to draw. The limit is above 0 because of fits: for a
@@ -116,10 +86,9 @@ impl QuantityDraws {
         !self.cells.is_empty()
     }
 
-    /// The smoothed density of the draws at a value, without those at the ends of the range; 0
-    /// outside [`inner`](Self::inner).
+    /// The smoothed density of the draws at a value; 0 outside [`drawn`](Self::drawn).
     pub fn density(&self, value: f64) -> f64 {
-        let (low, high) = self.inner;
+        let (low, high) = self.drawn;
         if self.cells.is_empty() || !(low..=high).contains(&value) {
             return 0.0;
         }
@@ -134,10 +103,10 @@ impl QuantityDraws {
 
 /// The smoothed density in each cell between `low` and `high`: counts, spread by a normal kernel
 /// and reflected at both ends, so that no draw is moved out of the range.
-fn density(values: impl Iterator<Item = f64>, (low, high): (f64, f64), all: usize) -> Vec<f64> {
+fn density(values: &[f64], (low, high): (f64, f64)) -> Vec<f64> {
     let width = (high - low) / CELLS as f64;
     let mut counts = [0.0; CELLS];
-    for value in values {
+    for &value in values {
         counts[(((value - low) / width) as usize).min(CELLS - 1)] += 1.0;
     }
     let reach = (4.0 * KERNEL_CELLS) as isize;
@@ -156,7 +125,7 @@ fn density(values: impl Iterator<Item = f64>, (low, high): (f64, f64), all: usiz
                 to = 2 * CELLS as isize - 1 - to;
             }
             if let Some(cell) = smooth.get_mut(to as usize) {
-                *cell += count * weight / (total * all as f64 * width);
+                *cell += count * weight / (total * values.len() as f64 * width);
             }
         }
     }
@@ -173,42 +142,21 @@ mod tests {
         QuantityDraws::of(distribution)[quantity.into().index()].clone()
     }
 
-    /// The integral of the density over the range.
-    fn integral(draws: &QuantityDraws) -> f64 {
-        let (low, high) = draws.inner;
-        let places = (0..4000).map(|it| low + (high - low) * (f64::from(it) + 0.5) / 4000.0);
-        places.map(|it| draws.density(it)).sum::<f64>() * (high - low) / 4000.0
-    }
-
     #[test]
-    fn a_damping_that_is_nearly_unknown_is_not_drawn_below_its_range() {
+    fn a_damping_that_is_nearly_unknown_is_drawn_within_its_range() {
         let damping = Quantity::Parameter(DomainParameter::RotaryDamping);
         let nominal = PlantModel::QUBE.nominal().get(damping);
         // The deviation is twice the value, as after an identification that does not determine it.
         let error = Direction::new(&[(damping, 2.0 * nominal)]);
         let draws = draws_of(&DomainDistribution::nominal().along(&[error]), damping);
-        let (low, high) = (0.1 * nominal, 1.9 * nominal);
-        assert!(draws.inner.0 > low && draws.inner.1 < high, "{:?}", draws.inner);
-        assert!((draws.mean / nominal - 1.0).abs() < 0.01, "{}", draws.mean);
-        assert!(draws.standard_deviation < 0.9 * nominal, "{}", draws.standard_deviation);
-        for share in draws.at_ends {
-            // 32.6 % of a normal distribution lie beyond 0.45 standard deviations.
-            assert!((share - 0.33).abs() < 0.015, "{share}");
-        }
-        let inner = integral(&draws);
-        assert!((inner + draws.at_ends[0] + draws.at_ends[1] - 1.0).abs() < 0.01, "{inner}");
-        assert_eq!((draws.density(0.0), draws.density(2.0 * nominal)), (0.0, 0.0));
-    }
-
-    #[test]
-    fn draws_that_other_deviations_move_slightly_off_an_end_count_as_at_the_end() {
-        let damping = Quantity::Parameter(DomainParameter::RotaryDamping);
-        let nominal = PlantModel::QUBE.nominal().get(damping);
-        let errors = [2.0, 0.002].map(|size| Direction::new(&[(damping, size * nominal)]));
-        let draws = draws_of(&DomainDistribution::nominal().along(&errors), damping);
-        assert!(draws.at_ends.iter().all(|share| (share - 0.33).abs() < 0.015), "{draws:?}");
-        let highest = draws.cells.iter().fold(0.0_f64, |one, other| one.max(*other));
-        assert!(highest < 1.3 * draws.density(nominal), "{highest}");
+        let (low, high) = draws.drawn;
+        assert!(low >= 0.0 && high <= 10.0 * nominal, "{:?}", draws.drawn);
+        // Mean of a normal number above -0.5.
+        assert!((draws.mean / nominal - (1.0 + 2.0 * 0.509)).abs() < 0.03, "{}", draws.mean);
+        let places = (0..4000).map(|it| low + (high - low) * (f64::from(it) + 0.5) / 4000.0);
+        let integral = places.map(|it| draws.density(it)).sum::<f64>() * (high - low) / 4000.0;
+        assert!((integral - 1.0).abs() < 0.01, "{integral}");
+        assert_eq!(draws.density(-nominal), 0.0);
     }
 
     #[test]
@@ -241,6 +189,5 @@ mod tests {
             (PlantModel::QUBE.nominal().get(mass), 0.0)
         );
         assert!(!draws.has_spread());
-        assert_eq!(draws.at_ends, [0.0; 2]);
     }
 }

@@ -338,18 +338,17 @@ fn add_distributions(
          spread has no curve."
     ));
     page.grid(|page| {
-        for (quantity, (chart, at_ends)) in charts {
-            page.chart(&first_upper(&words(quantity)), &at_ends, chart);
+        for (quantity, chart) in charts {
+            page.chart(&first_upper(&words(quantity)), "", chart);
         }
     });
 }
 
-/// The densities of the masses and lengths in which at least one recipe has spread, each with a
-/// sentence about draws at the ends of the range.
+/// The densities of the masses and lengths in which at least one recipe has spread.
 fn distribution_charts(
     distributions: &[(String, DomainDistribution)],
     plant: &PlantModel,
-) -> Vec<(Quantity, (Chart, String))> {
+) -> Vec<(Quantity, Chart)> {
     let named = distributions.iter();
     let draws: Vec<_> = named.map(|(name, it)| (name.as_str(), QuantityDraws::of(it))).collect();
     let mut charts = Vec::new();
@@ -452,7 +451,7 @@ mod tests {
         assert!(charts(DomainDistribution::nominal()).is_empty());
         let moved = charts(DomainDistribution::nominal().along(&directions));
         assert_eq!(moved.iter().map(|(quantity, _)| *quantity).collect::<Vec<_>>(), [mass]);
-        let [low, high] = moved[0].1.0.x_range.unwrap();
+        let [low, high] = moved[0].1.x_range.unwrap();
         assert!((high - low) / (2.0 * 3.5 * deviation) > 1.0, "{low} to {high}");
     }
 }

@@ -3,7 +3,9 @@ use rand::RngExt;
 use thiserror::Error;
 
 use crate::elementary::normal_pair;
-use crate::qube::{CONTROL_PERIOD_S, Distribution, MAX_HISTORY, Nonideality, Quantity};
+use crate::qube::{
+    CONTROL_PERIOD_S, Distribution, DomainParameter, MAX_HISTORY, Nonideality, Quantity,
+};
 
 /// Largest distance of a draw from its mean, as a fraction of the mean: draws of a parameter lie
 /// between 0.1 and 1.9 times the mean.
@@ -62,20 +64,27 @@ pub fn reach(quantity: Quantity, mean: f64) -> f64 {
     }
 }
 
-/// A value of a quantity, clamped to the range of its draws: for a parameter [`TRUNCATION`] times
-/// the mean on either side of the mean, for a nonideality the range that can be simulated.
+/// A value of a quantity, clamped to the range of its draws ([`range_of_draws`]).
 #[must_use]
 pub(super) fn held_in_range(quantity: Quantity, mean: f64, value: f64) -> f64 {
     let (smallest, largest) = range_of_draws(quantity, mean);
     value.clamp(smallest, largest)
 }
 
-/// The smallest and the largest value that a quantity can have in draws around a mean: for a
-/// parameter [`TRUNCATION`] times the mean on either side of the mean, for a nonideality the range
-/// that can be simulated.
+/// The largest value of a damping in draws around a mean, in times the mean. Recordings may leave a
+/// damping unknown to several times its value, because the motor's back-EMF damps the arm as well.
+const LARGEST_DAMPING: f64 = 10.0;
+
+/// The smallest and the largest value that a quantity can have in draws around a mean. A damping
+/// lies between 0 and [`LARGEST_DAMPING`] times its mean, any other parameter within [`TRUNCATION`]
+/// times the mean on either side of the mean, and a nonideality in the range that can be simulated.
+/// Without joint deviations draws stay within the [`reach`].
 #[must_use]
 pub fn range_of_draws(quantity: Quantity, mean: f64) -> (f64, f64) {
     match quantity {
+        Quantity::Parameter(DomainParameter::RotaryDamping | DomainParameter::PendulumDamping) => {
+            (0.0, LARGEST_DAMPING * mean)
+        }
         Quantity::Parameter(_) => ((1.0 - TRUNCATION) * mean, (1.0 + TRUNCATION) * mean),
         Quantity::Nonideality(term) => simulated_range(term),
     }

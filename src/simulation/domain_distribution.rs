@@ -5,7 +5,7 @@ use libm::sqrt;
 use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
-use super::distribution::{held_in_range, largest_standard_deviation};
+use super::distribution::{held_in_range, largest_standard_deviation, range_of_draws};
 use super::{Direction, DistributionError, reach};
 use crate::elementary::normal_pair;
 use crate::qube::{Distribution, DomainParameter, Nonideality, PlantModel, Quantity, QubeModel};
@@ -13,6 +13,10 @@ use crate::qube::{Distribution, DomainParameter, Nonideality, PlantModel, Quanti
 /// Standard deviation of a handcrafted distribution as a fraction of the nominal value (thesis,
 /// section 5.2).
 const HANDCRAFTED_SPREAD: f64 = 0.2;
+
+/// Number of times that the directions' numbers of one Qube are drawn. If all of them move a
+/// quantity out of its range, each such quantity is put at the end of its range.
+const MOST_TRIES: u32 = 200;
 
 /// The family of the distributions of the models `handcrafted`, `nominal-handcrafted` and
 /// `profile`, and of the quantities that a psi names.
@@ -44,8 +48,9 @@ impl Family {
 /// ([`Self::of_specimens`]) draws one of the given Qubes instead, each equally often.
 ///
 /// Every draw is physical: distributions are checked or limited when they are set
-/// (but [`Self::constant`] checks nothing), and a value that a direction moves out of its range is
-/// put at the end of the range.
+/// (but [`Self::constant`] checks nothing), and the directions' numbers are drawn again while they
+/// move a quantity out of its range. A quantity that was put at the end of its range alone would
+/// leave the others where only together they fit the recordings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "Written")]
 pub struct DomainDistribution {
@@ -313,18 +318,38 @@ impl DomainDistribution {
         if self.directions.is_empty() {
             return model;
         }
-        let deviations: Vec<f64> =
-            self.directions.iter().map(|_| normal_pair(rng.random())[0]).collect();
+        for _ in 0..MOST_TRIES {
+            let moved = self.moved(&model, rng);
+            let is_in_range = |quantity: Quantity| {
+                let value = moved.get(quantity);
+                let (smallest, largest) = range_of_draws(quantity, self.get(quantity).mean());
+                value == model.get(quantity) || (smallest..=largest).contains(&value)
+            };
+            if Quantity::all().all(is_in_range) {
+                return moved;
+            }
+        }
+        let moved = self.moved(&model, rng);
         for quantity in Quantity::all() {
-            let moved = zip(&self.directions, &deviations)
-                .fold(model.get(quantity), |it, (direction, deviation)| {
-                    it + deviation * direction.of(quantity)
-                });
-            // The value is held in its range once, after all directions, because a walk that is
-            // held at each step drifts away from the end of the range.
-            model.set(quantity, held_in_range(quantity, self.get(quantity).mean(), moved));
+            let mean = self.get(quantity).mean();
+            model.set(quantity, held_in_range(quantity, mean, moved.get(quantity)));
         }
         model
+    }
+
+    /// Moves the quantities of a Qube along every direction by a normal number of its own.
+    fn moved(&self, model: &QubeModel, rng: &mut impl rand::Rng) -> QubeModel {
+        let deviations: Vec<f64> =
+            self.directions.iter().map(|_| normal_pair(rng.random())[0]).collect();
+        let mut moved = *model;
+        for quantity in Quantity::all() {
+            let along = zip(&self.directions, &deviations);
+            let add = |value: f64, (direction, deviation): (&Direction, &f64)| {
+                value + deviation * direction.of(quantity)
+            };
+            moved.set(quantity, along.fold(model.get(quantity), add));
+        }
+        moved
     }
 
     fn with_handcrafted(mut self, parameters: &[DomainParameter], family: Family) -> Self {
@@ -465,7 +490,7 @@ pub(super) mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let exact = DomainDistribution::nominal().along(&posterior().directions);
         let nominal = QubeModel::NOMINAL.parameters;
-        let mut without_friction = 0;
+        let mut friction = 0.0;
         for _ in 0..1000 {
             let model = exact.sample(&mut rng);
             let resistance = model.parameters.motor_resistance_ohm - nominal.motor_resistance_ohm;
@@ -473,26 +498,47 @@ pub(super) mod tests {
                 - nominal.get(DomainParameter::MotorBackEmf);
             assert!((resistance / 0.4 + back_emf / 0.002).abs() < 1e-9);
             assert!(model.nonidealities.coulomb_torque_n_m >= 0.0);
-            without_friction += usize::from(model.nonidealities.coulomb_torque_n_m == 0.0);
+            friction += model.nonidealities.coulomb_torque_n_m / 1000.0;
         }
-        // Half of the draws would be below the end of the range.
-        assert!((450..550).contains(&without_friction), "{without_friction}");
+        // The mean of a normal number above 0 is sqrt(2 / pi) of its deviation.
+        assert!((friction / 1e-4 - 0.798).abs() < 0.06, "{friction}");
         let deviation = posterior().standard_deviation(DomainParameter::MotorResistance);
         assert!((deviation - 0.84_f64.hypot(0.4)).abs() < 1e-12, "{deviation}");
     }
 
     #[test]
-    fn the_end_of_a_range_holds_the_sum_of_all_directions_and_not_each_step() {
+    fn what_the_recordings_have_fixed_stays_fixed_where_a_damping_is_unknown() {
+        // Recordings fix the sum of the damping of arm and motor and leave its parts open.
+        let (damping, back_emf) = (DomainParameter::RotaryDamping, DomainParameter::MotorBackEmf);
+        let mut model = QubeModel::NOMINAL;
+        model.set(damping.into(), 3e-5);
+        let sum = |model: &QubeModel| {
+            let [k_m, resistance, damping] = [back_emf, DomainParameter::MotorResistance, damping]
+                .map(|it| model.parameters.get(it));
+            k_m * k_m / resistance + damping
+        };
+        let k_m = model.parameters.get(back_emf);
+        let slope = 2.0 * k_m / model.parameters.get(DomainParameter::MotorResistance);
+        let valley = Direction::new(&[(damping.into(), 5e-5), (back_emf.into(), -5e-5 / slope)]);
+        let posterior = DomainDistribution::constant(&model).along(&[valley]);
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let draws: Vec<QubeModel> = (0..2000).map(|_| posterior.sample(&mut rng)).collect();
+        // The sum is not linear in the back-EMF, so that it stays fixed to first order.
+        let off = draws.iter().map(|it| (sum(it) / sum(&model) - 1.0).abs() / 2000.0);
+        assert!(off.sum::<f64>() < 0.02);
+        let dampings: Vec<f64> = draws.iter().map(|it| it.parameters.get(damping)).collect();
+        assert!(dampings.iter().all(|&it| (0.0..=3e-4).contains(&it)));
+        assert!(dampings.iter().any(|&it| it < 3e-6) && dampings.iter().any(|&it| it > 1e-4));
+    }
+
+    #[test]
+    fn a_direction_that_fits_no_range_ends_at_the_ranges() {
+        let mass = Quantity::Parameter(DomainParameter::PendulumMass);
+        let wide = Direction::new(&[(mass, 1e9)]);
         let mut rng = ChaCha8Rng::seed_from_u64(5);
-        let (friction, steps) = (Quantity::Nonideality(Nonideality::CoulombTorque), 10);
-        let each = Direction::new(&[(friction, 1e-3 / sqrt(f64::from(steps)))]);
-        let many = DomainDistribution::nominal().along(&vec![each; steps as usize]);
-        let draws: Vec<f64> = (0..4000).map(|_| many.sample(&mut rng).get(friction)).collect();
-        let at_zero = draws.iter().filter(|&&it| it == 0.0).count() as f64 / 4000.0;
-        let mean = draws.iter().sum::<f64>() / 4000.0;
-        // The mean of the positive part of a normal number is 1 / sqrt(2 pi) of its deviation.
-        assert!((at_zero - 0.5).abs() < 0.03, "{at_zero}");
-        assert!((mean / 1e-3 - 0.3989).abs() < 0.03, "{mean}");
+        let drawn = DomainDistribution::nominal().along(&[wide]).sample(&mut rng).get(mass);
+        let (smallest, largest) = range_of_draws(mass, QubeModel::NOMINAL.get(mass));
+        assert!([smallest, largest].contains(&drawn), "{drawn}");
     }
 
     #[test]

@@ -15,7 +15,7 @@ impl Direction {
     /// To compare quantities of different units, the width of a direction is measured in the
     /// standard deviations of the distribution `robust` for the profile's plant, the belief about a
     /// specimen before any data. For a quantity that `robust` holds constant, the unit of width is
-    /// a tenth of its nominal value; for any quantity whose nominal value is 0 in the plant, it is
+    /// its nominal value; for any quantity whose nominal value is 0 in the plant, it is
     /// the standard error.
     #[must_use]
     pub fn of_errors(profile: &Profile, plant: &PlantModel) -> Vec<Self> {
@@ -24,8 +24,9 @@ impl Direction {
         let before = DomainDistribution::robust();
         let scale = |quantity: Quantity| {
             let of_qube = match before.standard_deviation(quantity) {
-                // A quantity that `robust` holds constant is measured in tenths of its value.
-                0.0 => (0.1 * before.get(quantity).mean().abs()).max(f64::MIN_POSITIVE),
+                // `robust` holds the dampings constant, and before any data each of them is known to
+                // about a factor of e.
+                0.0 => before.get(quantity).mean().abs().max(f64::MIN_POSITIVE),
                 deviation => deviation,
             };
             match plant.proportion(quantity) {

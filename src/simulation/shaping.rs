@@ -1,6 +1,6 @@
 use libm::{exp, sqrt};
 
-use super::distribution::held_in_range;
+use super::distribution::{held_in_range, range_of_draws};
 use super::{Direction, DomainDistribution, Family, Psi, PsiTarget};
 use crate::qube::{Nonideality, Quantity};
 
@@ -47,11 +47,20 @@ impl DomainDistribution {
         self
     }
 
-    /// Moves the means along an axis, by `deviations` times the axis's standard deviation. A mean
-    /// that would leave its range is put at the end of the range.
+    /// Moves the means along an axis, by `deviations` times the axis's standard deviation, or by the
+    /// largest part of it that leaves every mean in its range: the means keep the relation that the
+    /// axis has. A mean that lies at the very end that it would leave stays there.
     fn shifted(mut self, axis: &Direction, deviations: f64, family: Family) -> Self {
+        let room = |quantity: Quantity| {
+            let mean = self.get(quantity).mean();
+            let (smallest, largest) = range_of_draws(quantity, mean);
+            let wanted = deviations * axis.of(quantity);
+            (if wanted < 0.0 { smallest - mean } else { largest - mean }, wanted)
+        };
+        let parts = Quantity::all().map(room).filter(|&(room, wanted)| room * wanted > 0.0);
+        let part = parts.map(|(room, wanted)| room / wanted).fold(1.0, f64::min);
         for quantity in Quantity::all() {
-            let moved = deviations * axis.of(quantity);
+            let moved = part * deviations * axis.of(quantity);
             if moved != 0.0 {
                 let own = self.get(quantity);
                 let mean = held_in_range(quantity, own.mean(), own.mean() + moved);
@@ -222,6 +231,26 @@ mod tests {
         let held = shaped(&[0.0, 0.0, -2.0, -0.004, 0.0]);
         assert_eq!(held.get(Nonideality::CoulombTorque).mean(), 0.0);
         assert_eq!(held.get(delay).mean(), 0.0);
+    }
+
+    #[test]
+    fn a_shift_ends_where_the_first_mean_ends_and_keeps_the_relation_of_the_axis() {
+        let damping = Quantity::Parameter(DomainParameter::RotaryDamping);
+        let back_emf = Quantity::Parameter(DomainParameter::MotorBackEmf);
+        let nominal = DomainDistribution::nominal();
+        let [of_damping, of_back_emf] = [damping, back_emf].map(|it| nominal.get(it).mean());
+        let axis = Direction::new(&[(damping, 2.0 * of_damping), (back_emf, -0.1 * of_back_emf)]);
+        let space = PsiSpace::of_posterior(1);
+        for (shift, part) in [(1.0, 1.0), (-0.25, -0.25), (-2.0, -0.5)] {
+            let mut point = space.as_identified();
+            point[1] = shift;
+            let psi = space.psi(&point).unwrap();
+            let shaped = nominal.clone().shaped_along(&[axis.clone()], &psi, Family::Normal);
+            let damped = shaped.get(damping).mean() / of_damping;
+            let driven = shaped.get(back_emf).mean() / of_back_emf;
+            assert!((damped - (1.0 + 2.0 * part)).abs() < 1e-9, "{shift}: {damped}");
+            assert!((driven - (1.0 - 0.1 * part)).abs() < 1e-9, "{shift}: {driven}");
+        }
     }
 
     #[test]

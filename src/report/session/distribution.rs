@@ -90,8 +90,8 @@ fn add_densities(
                 let mut curves = vec![("in its training", drawn)];
                 curves.extend(before.map(|it| ("before the search", &it[quantity.index()])));
                 let caption = crate::report::rollout::first_upper(&words(quantity));
-                let (chart, at_ends) = density_chart(quantity, &curves, nominal.get(quantity));
-                page.chart(&caption, &at_ends, chart);
+                let chart = density_chart(quantity, &curves, nominal.get(quantity));
+                page.chart(&caption, "", chart);
             }
         }
     });
