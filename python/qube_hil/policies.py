@@ -3,9 +3,10 @@
 import json
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 
@@ -16,7 +17,7 @@ from .device import QubeDeviceEnv
 from .distributions import Distribution
 from .envs import Float32s, QubeEnv, QubeVectorEnv
 from .errors import ActionError, PolicyError, SettingsError
-from .settings import as_number, as_path, as_text, is_whole, shown
+from .settings import as_json, as_number, as_path, as_text, is_whole, shown
 
 
 class Policy:
@@ -54,6 +55,7 @@ class Policy:
         history: int | None = None,
         filter_rad_s: float | None = None,
         clip_observation: float | None = None,
+        plant: Mapping[str, Any] | None = None,
     ) -> "Policy":
         """Makes a policy of the layers of a multilayer perceptron.
 
@@ -70,6 +72,8 @@ class Policy:
                 200.
             clip_observation: Magnitude at which each entry of the observation, as the network sees it, is clipped; None
                 clips nothing.
+            plant: Plant for which the network was trained, with the entries of a plant file; None stands for the Qube. The
+                policy runs on this plant only.
 
         Raises:
             PolicyError: Layers of these shapes or numbers make no network of 1 to 4 hidden layers of at most 256 neurons,
@@ -77,7 +81,6 @@ class Policy:
             SettingsError: An argument is of another type.
         """
         names, history = _named(observation), _as_history(history)
-        _refuse_duplicates(names)
         activation = as_text("activation", activation, "tanh, relu, elu or silu")
         output = as_text("output", output, "linear or tanh")
         scale_v = as_number("action_scale_v", action_scale_v, _A_VOLTAGE)
@@ -94,6 +97,7 @@ class Policy:
                 history,
                 _as_corner(filter_rad_s),
                 _as_limit(clip_observation),
+                _as_plant(plant),
             )
         )
 
@@ -107,6 +111,7 @@ class Policy:
         history: int | None = None,
         filter_rad_s: float | None = None,
         clip_observation: float | None = None,
+        plant: Mapping[str, Any] | None = None,
     ) -> "Policy":
         """Makes a policy of an ONNX file, as `qube-hil import` does. A file of another program needs ``action_scale_v``
         and its other conventions, named as for `from_layers`. A file that this program exported contains its
@@ -115,7 +120,7 @@ class Policy:
         file = as_path("path", path, "the path of an ONNX file")
         scale_v = None if action_scale_v is None else as_number("action_scale_v", action_scale_v, _A_VOLTAGE)
         corner_rad_s, limit = _as_corner(filter_rad_s), _as_limit(clip_observation)
-        return cls(_core.Policy.from_onnx(file, scale_v, names, history, corner_rad_s, limit))
+        return cls(_core.Policy.from_onnx(file, scale_v, names, history, corner_rad_s, limit, _as_plant(plant)))
 
     @classmethod
     def from_torch(cls, module: Any, *, action_scale_v: float, **named: Any) -> "Policy":
@@ -146,11 +151,12 @@ class Policy:
                 answer from the model's environment; for a model without one, such as one that ``load`` has read without
                 ``env``, a ``UserWarning`` says that it cannot be known.
             named: As for `from_layers`. Without ``observation`` and ``history``, the history is that of the model's
-                environment, and without ``filter_rad_s`` the recorded sensors are those of the environment, if it is a
-                simulation of this package; a model without one needs ``history`` where its observation has commands.
+                environment, and without ``filter_rad_s`` the recorded sensors and plant are those of the environment, if it
+                is a simulation of this package; a model without one needs ``history`` where its observation has commands.
 
         Raises:
-            PolicyError: ``VecNormalize`` scales the observations of the model's environment, or ``normalised`` is true; the
+            PolicyError: ``VecNormalize`` or another wrapper changes the observations or actions of the model's environment,
+                or ``normalised`` is true; the
                 features extractor is not the default one; PPO or A2C has ``squash_output``; the policy has an LSTM, or no
                 known actor; or as for `from_layers`.
         """
@@ -324,14 +330,6 @@ def _named(observation: Sequence[str] | None) -> str | None:
         raise SettingsError(f"observation = {shown(observation)}: give names of entries") from error
 
 
-def _refuse_duplicates(names: str | None) -> None:
-    """Refuses an observation that names a quantity twice."""
-    quantities = [entry.split("*")[-1].strip() for entry in names.split(",")] if names else []
-    for quantity in quantities:
-        if quantities.count(quantity) > 1:
-            raise PolicyError(f"observation names {quantity} twice: name each entry once")
-
-
 def _as_real(values: Any) -> Float32s:
     """Real numbers in single precision; complex numbers, texts and dates raise a TypeError."""
     array = np.asarray(values)
@@ -426,10 +424,32 @@ def _as_limit(clip_observation: object) -> float | None:
     return as_number("clip_observation", clip_observation, "a number above 0, or None")
 
 
+def _as_plant(plant: object) -> str | None:
+    """A plant as JSON; None for the Qube."""
+    if plant is None:
+        return None
+    return as_json(plant, "plant")
+
+
+#: Wrappers of Gymnasium that change observations or actions. `ClipAction` clips actions as a policy here does.
+_CHANGING_WRAPPERS = (
+    gymnasium.ObservationWrapper,
+    gymnasium.ActionWrapper,
+    gymnasium.vector.VectorObservationWrapper,
+    gymnasium.vector.VectorActionWrapper,
+)
+
+
 def _environment_of(model: Any) -> QubeEnv | QubeVectorEnv | QubeDeviceEnv | None:
-    """The environment of a model of Stable-Baselines3, without its wrappers; None if it is none of this package."""
+    """The environment of a model of Stable-Baselines3, without its wrappers; None if it is none of this package. Raises a
+    `PolicyError` for a wrapper that changes the observations or actions, because a policy would see and request others."""
     env: Any = getattr(model, "env", None)
     while env is not None and not isinstance(env, (QubeEnv, QubeVectorEnv, QubeDeviceEnv)):
+        if isinstance(env, _CHANGING_WRAPPERS) and not isinstance(env, gymnasium.wrappers.ClipAction):
+            raise PolicyError(
+                f"the wrapper {type(env).__name__} changes the observations or actions of the model's environment, and a policy "
+                "here sees them unchanged: train the model without it"
+            )
         # A wrapper holds one environment, and a vector of environments several alike.
         several = getattr(env, "envs", None)
         holders = ("venv", "_envs", "env")

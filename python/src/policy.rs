@@ -16,12 +16,13 @@ use qube_hil::policy::onnx::{
 };
 use qube_hil::policy::{Activation, Controller, LayerWeights, Network, OutputKind, Policy as Kind};
 use qube_hil::qube::{
-    ALPHA_DOT_FACTOR, Distribution, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity, State,
-    THETA_DOT_FACTOR,
+    ALPHA_DOT_FACTOR, Distribution, MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, PlantModel,
+    Quantity, State, THETA_DOT_FACTOR,
 };
 use qube_hil::storage::{MachineDisk, read_bounded, write_new, write_whole};
 
 use crate::errors::{ActionError, bad_policy, shown};
+use crate::settings::read_plant;
 use crate::simulation::Simulation;
 
 /// A policy: a network, the classical controller, an excitation, or the name of a controller
@@ -58,15 +59,16 @@ impl Policy {
         history: Option<usize>,
         corner_rad_s: Option<f64>,
         clip_observation: Option<f32>,
+        plant: Option<&str>,
     ) -> PyResult<Self> {
-        let foreign = action_scale_v
-            .map(|scale_v| foreign(scale_v, observation, history, corner_rad_s, clip_observation))
-            .transpose()?;
+        let conventions = (observation, history, corner_rad_s, clip_observation, plant);
+        let foreign = action_scale_v.map(|scale_v| foreign(scale_v, conventions)).transpose()?;
         let named = [
             ("observation", observation.is_some()),
             ("history", history.is_some()),
             ("filter_rad_s", corner_rad_s.is_some()),
             ("clip_observation", clip_observation.is_some()),
+            ("plant", plant.is_some()),
         ];
         if let Some((name, _)) = named.into_iter().find(|(_, given)| *given && foreign.is_none()) {
             return Err(bad_policy(format!(
@@ -113,6 +115,7 @@ impl Policy {
         history: Option<usize>,
         corner_rad_s: Option<f64>,
         clip_observation: Option<f32>,
+        plant: Option<&str>,
     ) -> PyResult<Self> {
         let activation = Activation::named(activation).ok_or_else(|| {
             let names = Activation::ALL.map(Activation::name).join(", ");
@@ -128,7 +131,7 @@ impl Policy {
             }
         };
         let foreign =
-            foreign(action_scale_v, observation, history, corner_rad_s, clip_observation)?;
+            foreign(action_scale_v, (observation, history, corner_rad_s, clip_observation, plant))?;
         let inputs = layers.first().map_or(0, |(weight, _)| weight.shape()[1]);
         let layer = |(weight, bias): &(PyReadonlyArray2<'_, f32>, PyReadonlyArray1<'_, f32>)| {
             LayerWeights {
@@ -143,11 +146,13 @@ impl Policy {
         Ok(Kind::Network(policy).into())
     }
 
-    /// The same policy, recorded as one that was trained with the sensors of a simulation.
+    /// The same policy, recorded as one that was trained with the sensors and on the plant of a
+    /// simulation.
     fn seen_through(&self, py: Python<'_>, simulation: &Simulation) -> Self {
         let mut policy = self.turn(py).clone();
         if let Kind::Network(policy) = &mut policy {
             policy.training.sensors = simulation.sensors();
+            policy.training.plant = *simulation.plant();
         }
         policy.into()
     }
@@ -329,16 +334,18 @@ fn observation_size(policy: &Kind) -> usize {
     }
 }
 
+/// Observation, history, corner of the filter, rad/s, bound of the observation, and plant (JSON) of
+/// another program's policy, as Python gives them.
+type Conventions<'a> = (Option<&'a str>, Option<usize>, Option<f64>, Option<f32>, Option<&'a str>);
+
 /// Checks and collects the conventions of another program's policy. Without `observation` and
 /// `history` the policy sees the program's own observation without commands; the default of
-/// `corner_rad_s` is that of the program's filter.
+/// `corner_rad_s` is that of the program's filter, and the default plant the Qube.
 fn foreign(
     action_scale_v: f64,
-    observation: Option<&str>,
-    history: Option<usize>,
-    corner_rad_s: Option<f64>,
-    clip_observation: Option<f32>,
+    (observation, history, corner_rad_s, clip_observation, plant): Conventions<'_>,
 ) -> PyResult<ForeignConventions> {
+    let plant = plant.map(read_plant).transpose()?.unwrap_or(PlantModel::QUBE);
     if let (Some(_), Some(history)) = (observation, history) {
         return Err(bad_policy(format!(
             "history = {history} beside observation: name the last commands in observation (command_1 ...), or give \
@@ -364,7 +371,7 @@ fn foreign(
         None => ObservationLayout::own(history),
     };
     let action_scale_v = action_scale_v as f32;
-    Ok(ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation })
+    Ok(ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation, plant })
 }
 
 /// The state of an observation, rad and rad/s, with both angles within half a turn of 0.

@@ -3,7 +3,7 @@
 
 use pyo3::prelude::*;
 use qube_hil::estimation::{EstimatorSettings, ObserverSettings, SettingsError};
-use qube_hil::qube::MAX_HISTORY;
+use qube_hil::qube::{MAX_HISTORY, PlantModel};
 use qube_hil::safety::HardwareRefusal;
 use qube_hil::simulation::{SensorModel, SimulationSettingError, SimulationSettings, box_file};
 use serde_json::{Map, Value};
@@ -44,7 +44,8 @@ fn named_settings() -> [(&'static str, SimulationSettings); 3] {
 }
 
 /// Parses the settings of a simulation from JSON, either a name or an object, and checks them. A
-/// setting that the object leaves out has its default, if there is one. `argument` is the name of
+/// setting that the object leaves out has its default, if there is one; beside a plant whose stops
+/// are nearer than a Qube's, the limit of theta shrinks with the travel. `argument` is the name of
 /// Python's argument.
 pub fn read_settings(argument: &str, json: &str) -> PyResult<SimulationSettings> {
     let refused = |message: String| bad_settings(format!("{argument}: {message}"));
@@ -65,8 +66,41 @@ pub fn read_settings(argument: &str, json: &str) -> PyResult<SimulationSettings>
     // The message of serde_json ends with a place in the text, which Python does not get.
     let settings: SimulationSettings = serde_json::from_value(given.clone())
         .map_err(|error| refused(error.to_string().replace(" at line 0 column 0", "")))?;
+    let limit = table.get("safety_box").and_then(Value::as_object);
+    let gives_limit = limit
+        .is_some_and(|limits| limits.contains_key("theta_rad") || limits.contains_key("theta"));
+    let settings = match gives_limit || !table.contains_key("plant") {
+        true => settings,
+        false => settings.of_plant(&settings.plant),
+    };
     settings.check().map_err(|error| refused(in_words(&error)))?;
+    let (given_rad, most_rad) =
+        (settings.safety_box.theta, settings.safety_box.inside_travel(&settings.plant).theta);
+    // The limit of another program may be rounded.
+    if given_rad > most_rad * (1.0 + 1e-6) {
+        return Err(refused(format!(
+            "safety_box.theta_rad = {}: the stops of the plant {} are nearer than a Qube's, so give at most {}",
+            shown(given_rad),
+            settings.plant.name,
+            shown(most_rad)
+        )));
+    }
     Ok(settings)
+}
+
+/// Parses a plant from JSON and checks it.
+pub fn read_plant(json: &str) -> PyResult<PlantModel> {
+    let refused = |message: String| bad_settings(format!("plant: {message}"));
+    let given: Value = serde_json::from_str(json).map_err(|error| refused(error.to_string()))?;
+    let Value::Object(all) = &given else {
+        return Err(refused(format!("{given}: give a mapping with the entries of a plant file")));
+    };
+    let table = Map::from_iter([("plant".to_owned(), given.clone())]);
+    check_table("", &table, &every_entry()).map_err(|error| bad_settings(error))?;
+    let plant: PlantModel = serde_json::from_value(Value::Object(all.clone()))
+        .map_err(|error| refused(error.to_string().replace(" at line 0 column 0", "")))?;
+    plant.check().map_err(|error| refused(error.to_string()))?;
+    Ok(plant)
 }
 
 /// Checks that no entry is given which would have no effect. The guard `box`, which all simulations

@@ -9,7 +9,7 @@ use numpy::{
 use pyo3::prelude::*;
 use qube_hil::learning::simulated_sensors;
 use qube_hil::policy::SimulatedSensors;
-use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, Quantity};
+use qube_hil::qube::{MAX_HISTORY, MAX_VOLTAGE_V, OBSERVATION_SIZE, PlantModel, Quantity};
 use qube_hil::simulation::{
     DomainDistribution, LANES_MULTIPLE, LaneStatus, Observations, Pendulums, SimulationSettings,
     Trajectory,
@@ -37,6 +37,7 @@ pub struct Simulation {
     observation_size: usize,
     /// Sensors through which policies see the state.
     sensors: SimulatedSensors,
+    plant: PlantModel,
     episodes: Mutex<Episodes>,
 }
 
@@ -99,7 +100,8 @@ impl Simulation {
         let episodes =
             Episodes { lanes, guard, distribution, seed: 0, next: 0, numbers: vec![0; num_envs] };
         let sensors = simulated_sensors(&settings.sensors, &settings.plant);
-        Ok(Self { num_envs, observation_size, sensors, episodes: Mutex::new(episodes) })
+        let plant = settings.plant;
+        Ok(Self { num_envs, observation_size, sensors, plant, episodes: Mutex::new(episodes) })
     }
 
     /// Length of an observation.
@@ -273,6 +275,11 @@ impl Simulation {
     /// Sensors through which policies see the state, as policy files record them.
     pub(crate) fn sensors(&self) -> SimulatedSensors {
         self.sensors
+    }
+
+    /// The plant of the simulated specimens.
+    pub(crate) fn plant(&self) -> &PlantModel {
+        &self.plant
     }
 
     /// Locks the episodes for one call; an error while another call is under way.

@@ -9,6 +9,8 @@ import gymnasium
 import numpy as np
 import pytest
 
+from conftest import run
+
 import qube_hil
 from qube_hil import Policy
 
@@ -187,6 +189,51 @@ def test_a_model_takes_the_observation_of_its_environment():
         Policy.from_sb3(model(8, object()))
     with pytest.raises(qube_hil.PolicyError, match="6 inputs"):
         Policy.from_sb3(model(6, many))
+
+
+#: A pendulum that is larger than a Qube, and whose arm turns less far.
+LARGER = {
+    "name": "larger",
+    "parameters": {
+        "g": 9.81, "R_m": 3.8, "k_m": 0.042, "D_r": 1.1e-5, "D_p": 2.2e-6, "M_r": 0.1235, "M_p": 0.0312, "L_r": 0.1105,
+        "L_p": 0.1677,
+    },
+    "encoders": {"theta_counts_per_revolution": 4096, "alpha_counts_per_revolution": 4096},
+    "limits": {"hard_stop_rad": 1.8, "largest_voltage_v": 5.0},
+    "motor": {"continuous_a": 0.54, "time_constant_s": 30.0},
+}
+
+
+def test_a_policy_keeps_the_plant_that_it_was_trained_for(tmp_path):
+    hidden, action = [Linear(6, 12), Tanh()], Linear(12, 1)
+    env = qube_hil.QubeVectorEnv(2, settings={"plant": LARGER, "sensors": {"type": "encoders"}})
+    actor = Named(mlp_extractor=Named(policy_net=hidden), action_net=action)
+    of_env = Policy.from_sb3(Named(policy=actor, env=env))
+    layers = [(np.ones((4, 6), np.float32), None), (np.ones((1, 4), np.float32), None)]
+    for policy in [of_env, Policy.from_layers(layers, action_scale_v=5.0, plant=LARGER)]:
+        assert policy.training["plant"]["name"] == "larger"
+        assert policy.training["sensors"]["counts_per_revolution"] == 4096
+    file = tmp_path / "larger.safetensors"
+    of_env.save(file)
+    refused = run("run", "--clock", "virtual", "--policy", file, "--out", tmp_path / "run")
+    assert refused.returncode == 2 and "larger" in refused.stderr
+    assert "plant" not in Policy.from_layers(layers, action_scale_v=5.0).training
+    with pytest.raises(qube_hil.SettingsError, match="plant has no"):
+        Policy.from_layers(layers, action_scale_v=5.0, plant={"name": "half"})
+
+
+def test_a_wrapper_that_changes_what_a_policy_sees_or_requests_is_refused():
+    hidden, action = [Linear(6, 12), Tanh()], Linear(12, 1)
+    actor = Named(mlp_extractor=Named(policy_net=hidden), action_net=action)
+    for wrapper in [
+        gymnasium.wrappers.NormalizeObservation,
+        lambda env: gymnasium.wrappers.RescaleAction(env, -2.0, 2.0),
+    ]:
+        for env in [wrapper(qube_hil.QubeEnv()), Named(envs=[wrapper(qube_hil.QubeEnv())])]:
+            with pytest.raises(qube_hil.PolicyError, match="(NormalizeObservation|RescaleAction) changes"):
+                Policy.from_sb3(Named(policy=actor, env=env))
+    clipped = gymnasium.wrappers.ClipAction(qube_hil.QubeEnv())
+    assert Policy.from_sb3(Named(policy=actor, env=clipped)).observation_size == 6
 
 
 def test_the_default_layers_of_td3_are_refused_and_the_message_gives_smaller_ones():

@@ -7,13 +7,14 @@ use super::estimator_arguments::corner;
 use super::exit::Failure;
 use super::number_arguments::between;
 use super::output::Output;
+use super::plant_file::PlantArgument;
 use super::printable::one_line;
 use crate::estimation::EstimatorSettings;
 use crate::policy::Policy;
 use crate::policy::onnx::{
     ForeignConventions, ImportError, MAX_FILE_BYTES, ObservationLayout, from_onnx,
 };
-use crate::qube::MAX_HISTORY;
+use crate::qube::{MAX_HISTORY, PlantModel};
 use crate::storage::{Existing, read_bounded};
 
 /// Import a policy from an ONNX file of another program, or from a file that `export --onnx` wrote
@@ -38,6 +39,9 @@ pub struct Arguments {
     /// file that `export --onnx` wrote
     #[arg(long, value_name = "V", value_parser = scale)]
     action_scale: Option<f64>,
+
+    #[command(flatten)]
+    plant: PlantArgument,
 
     /// Entries of the observation in the network's order, each with or without a factor
     /// (0.1*theta_dot): sin_theta, cos_theta, sin_alpha, cos_alpha, theta_dot, alpha_dot (rad/s),
@@ -84,17 +88,19 @@ impl Arguments {
             || self.history.is_some()
             || self.filter.is_some()
             || self.clip_observation.is_some()
+            || self.plant.is_given()
     }
 
     /// Returns the conventions of a foreign file, from the options; `None` without
     /// `--action-scale`, for a file that names its own.
-    fn foreign(&self) -> Option<ForeignConventions> {
+    fn foreign(&self, plant: PlantModel) -> Option<ForeignConventions> {
         let own = || ObservationLayout::own(self.history.unwrap_or_default().into());
         self.action_scale.map(|action_scale_v| ForeignConventions {
             layout: self.observation.clone().unwrap_or_else(own),
             action_scale_v: action_scale_v as f32,
             corner_rad_s: self.filter.unwrap_or(EstimatorSettings::default().corner_rad_s),
             clip_observation: self.clip_observation.map(|limit| limit as f32),
+            plant,
         })
     }
 }
@@ -110,7 +116,8 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
         let remedy = if error.kind() == std::io::ErrorKind::NotFound { EXPORT_FAILED } else { "" };
         refused(&format!("cannot be read: {error}{remedy}"))
     })?;
-    let policy = from_onnx(&bytes, arguments.foreign().as_ref()).map_err(|error| match error {
+    let foreign = arguments.foreign(arguments.plant.plant()?);
+    let policy = from_onnx(&bytes, foreign.as_ref()).map_err(|error| match error {
         ImportError::NoActionScale => refused(&format!("{error} (--action-scale)")),
         other => refused(&other),
     })?;

@@ -14,6 +14,11 @@ pub struct PlantArgument {
 }
 
 impl PlantArgument {
+    /// Returns whether the option is given.
+    pub fn is_given(&self) -> bool {
+        self.plant.is_some()
+    }
+
     /// Returns the plant that the file of `--plant` describes; `None` without the option.
     pub fn given(&self) -> Result<Option<PlantModel>, Failure> {
         self.plant.as_deref().map(load).transpose()

@@ -47,10 +47,10 @@ pub struct TrainingRecord {
 }
 
 impl TrainingRecord {
-    /// The record of a network that another program trained for a Qube, with the states that a
+    /// The record of a network that another program trained for this plant, with the states that a
     /// velocity filter of this corner, rad/s, computes.
     #[must_use]
-    pub fn imported(corner_rad_s: f64) -> Self {
+    pub fn imported(corner_rad_s: f64, plant: &PlantModel) -> Self {
         Self {
             model: "imported".into(),
             psi: None,
@@ -61,12 +61,12 @@ impl TrainingRecord {
             gradient_steps: 0,
             sensors: SimulatedSensors::Encoders {
                 corner_rad_s,
-                counts_per_revolution: PlantModel::QUBE.encoders.theta.counts_per_revolution(),
+                counts_per_revolution: plant.encoders.theta.counts_per_revolution(),
                 observer: None,
             },
             guard: SimulatedGuard::Box,
             voltage_change_weight: 0.0,
-            plant: PlantModel::QUBE,
+            plant: *plant,
             best_return: None,
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
         }

@@ -488,7 +488,11 @@ impl After {
 
     fn clip(&mut self, lower: f32, upper: f32) {
         self.is_begun = true;
-        self.limits = [self.limits[0].max(lower), self.limits[1].min(upper)];
+        // `max` and `min` would pass over a bound that is not a number.
+        let [least, most] = self.limits;
+        let is_known = !lower.is_nan() && !upper.is_nan();
+        self.limits =
+            if is_known { [least.max(lower), most.min(upper)] } else { [f32::NAN, f32::NAN] };
     }
 }
 

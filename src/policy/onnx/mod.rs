@@ -17,14 +17,14 @@ mod write;
 
 use thiserror::Error;
 
-pub use observation_layout::{ObservationLayout, UnknownEntry};
+pub use observation_layout::{LayoutError, ObservationLayout};
 pub use write::{OPSET, to_onnx};
 
 use super::file::network_of_metadata;
 use super::layer::LayerWeights;
 use super::network::NetworkError;
 use super::{Activation, Network, NetworkPolicy, OutputKind, PolicyFault, TrainingRecord};
-use crate::qube::MAX_VOLTAGE_V;
+use crate::qube::{MAX_VOLTAGE_V, PlantModel};
 use protobuf::Malformed;
 
 /// Largest file that is read, bytes: far more than the largest network of this program.
@@ -129,9 +129,16 @@ pub enum ImportError {
         /// Upper limit, V.
         upper_v: f32,
     },
-    /// An entry of the observation appears twice, with different bounds.
-    #[error("clips two inputs that are the same entry of the observation at different values")]
-    TwoBounds,
+    /// The lower limit of the output is above the upper one, or one is not a number.
+    #[error(
+        "clips the output between {lower} and {upper}, which leaves no range: give a lower limit below the upper one"
+    )]
+    EmptyLimits {
+        /// Lower limit, in the output's unit.
+        lower: f32,
+        /// Upper limit, in the output's unit.
+        upper: f32,
+    },
     /// The normalisation cannot become a part of the first layer in single precision.
     #[error(
         "has a normalisation before the first layer that single precision cannot hold within about 1 mV: the mean of an input \
@@ -205,6 +212,8 @@ pub struct ForeignConventions {
     /// Magnitude at which each entry of the observation is clipped, as the network sees the entry;
     /// `None` clips nothing beyond the bounds in the file.
     pub clip_observation: Option<f32>,
+    /// Plant for which the network was trained. The policy runs on no other.
+    pub plant: PlantModel,
 }
 
 /// Reads a policy from the bytes of an ONNX file. For a file that this program wrote, `foreign`
@@ -283,9 +292,9 @@ impl Layers {
     /// The conventions have a number out of its range or do not fit the layers, or the layers form
     /// no network that this program can run.
     pub fn policy(self, conventions: &ForeignConventions) -> Result<NetworkPolicy, ImportError> {
-        let ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation } =
+        let ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation, plant } =
             conventions;
-        let training = TrainingRecord::imported(*corner_rad_s);
+        let training = TrainingRecord::imported(*corner_rad_s, plant);
         training.check().map_err(|_| ImportError::Corner { corner_rad_s: *corner_rad_s })?;
         let clipped = match clip_observation {
             Some(limit) => self.clipped(*limit)?,
@@ -315,8 +324,7 @@ impl Layers {
     ///
     /// # Errors
     /// The observation has another length than the first layer, the limits of the output exclude a
-    /// part of the motor's range, one entry of the observation has two different bounds, or the
-    /// layers form no network that this program can run.
+    /// part of the motor's range, or the layers form no network that this program can run.
     pub fn network(
         self,
         layout: &ObservationLayout,
@@ -325,6 +333,10 @@ impl Layers {
         let Self { mut layers, inputs, bounds, activation, output, scale, limits } = self;
         if inputs != layout.len() {
             return Err(ImportError::Inputs { inputs, named: layout.len() });
+        }
+        if limits[0].is_nan() || limits[1].is_nan() || limits[0] > limits[1] {
+            let [lower, upper] = limits;
+            return Err(ImportError::EmptyLimits { lower, upper });
         }
         let [one, other] = limits.map(|limit| limit * action_scale_v);
         let (lower_v, upper_v) = (one.min(other), one.max(other));
@@ -344,11 +356,7 @@ impl Layers {
             // Both functions of the output, linear and tanh, are odd.
             last.weight.iter_mut().chain(&mut last.bias).for_each(|weight| *weight = -*weight);
         }
-        let bounds = if bounds.is_empty() {
-            bounds
-        } else {
-            layout.arranged_bounds(&bounds).ok_or(ImportError::TwoBounds)?
-        };
+        let bounds = if bounds.is_empty() { bounds } else { layout.arranged_bounds(&bounds) };
         Ok(Network::new(&sizes, &layers, action_scale_v.abs())?
             .with_functions(activation, output)
             .with_bounds(bounds)?)

@@ -34,16 +34,24 @@ pub struct ObservationLayout {
     inputs: usize,
 }
 
-/// The error for an entry of an observation whose name is unknown, or whose factor is 0 or no
-/// finite number.
+/// The reason why a text names no layout of an observation.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error(
-    "{entry:?} is not an entry of an observation: give some of {names}, each with or without a factor \
-     other than 0, as 0.1*theta_dot", names = NAMES.map(|(name, _)| name).join(", ")
-)]
-pub struct UnknownEntry {
-    /// Entry given.
-    pub entry: String,
+pub enum LayoutError {
+    /// The name of an entry is unknown, or its factor is 0 or no finite number.
+    #[error(
+        "{entry:?} is not an entry of an observation: give some of {names}, each with or without a factor \
+         other than 0, as 0.1*theta_dot", names = NAMES.map(|(name, _)| name).join(", ")
+    )]
+    UnknownEntry {
+        /// Entry given.
+        entry: String,
+    },
+    /// Two entries name the same quantity, which is most likely a slip of the pen.
+    #[error("observation names {name} twice: name each entry once")]
+    RepeatedEntry {
+        /// Name of the quantity.
+        name: &'static str,
+    },
 }
 
 impl ObservationLayout {
@@ -58,16 +66,20 @@ impl ObservationLayout {
     /// -1*cos_alpha`.
     ///
     /// # Errors
-    /// Names the first entry whose name is unknown, or whose factor is 0 or no finite number.
-    pub fn parse(text: &str) -> Result<Self, UnknownEntry> {
-        let mut entries = Vec::new();
+    /// Names the first entry whose name is unknown or was named before, or whose factor is 0 or no
+    /// finite number.
+    pub fn parse(text: &str) -> Result<Self, LayoutError> {
+        let mut entries: Vec<(usize, f64)> = Vec::new();
         for entry in text.split(',').map(str::trim) {
             let (factor, name) = entry.split_once('*').unwrap_or(("1", entry));
             let factor: f64 = factor.trim().parse().unwrap_or(f64::NAN);
             let known = NAMES.iter().position(|(known, _)| *known == name.trim());
             match known.filter(|_| factor.is_finite() && factor != 0.0) {
+                Some(index) if entries.iter().any(|&(named, _)| named == index) => {
+                    return Err(LayoutError::RepeatedEntry { name: NAMES[index].0 });
+                }
                 Some(index) => entries.push((index, factor / NAMES[index].1)),
-                None => return Err(UnknownEntry { entry: entry.to_owned() }),
+                None => return Err(LayoutError::UnknownEntry { entry: entry.to_owned() }),
             }
         }
         let last = entries.iter().map(|&(index, _)| index + 1).max().unwrap_or_default();
@@ -105,19 +117,14 @@ impl ObservationLayout {
         arranged.into_iter().map(|weight| weight as f32).collect()
     }
 
-    /// Converts bounds of the entries to bounds of this program's observation; `None` if a quantity
-    /// is named twice with different bounds.
-    pub(super) fn arranged_bounds(&self, bounds: &[[f32; 2]]) -> Option<Vec<[f32; 2]>> {
-        let open = [f32::NEG_INFINITY, f32::INFINITY];
-        let mut arranged = vec![None; self.inputs];
+    /// Converts bounds of the entries to bounds of this program's observation.
+    pub(super) fn arranged_bounds(&self, bounds: &[[f32; 2]]) -> Vec<[f32; 2]> {
+        let mut arranged = vec![[f32::NEG_INFINITY, f32::INFINITY]; self.inputs];
         for (&(index, factor), bounds) in self.entries.iter().zip(bounds) {
             let [one, other] = bounds.map(|bound| (f64::from(bound) / factor) as f32);
-            let own = if factor < 0.0 { [other, one] } else { [one, other] };
-            if *arranged[index].get_or_insert(own) != own {
-                return None;
-            }
+            arranged[index] = if factor < 0.0 { [other, one] } else { [one, other] };
         }
-        Some(arranged.into_iter().map(|own| own.unwrap_or(open)).collect())
+        arranged
     }
 }
 
@@ -132,11 +139,15 @@ mod tests {
         let arranged = layout.arranged(&[2.0, 3.0, 4.0]);
         assert_eq!(arranged, [0.0, 0.0, 0.0, -3.0, 20.0, 0.0, 4.0]);
         assert_eq!(ObservationLayout::own(1).arranged(&[1.0; 7]), [1.0; 7]);
-        let bounds = layout.arranged_bounds(&[[-5.0, 4.0], [-1.0, 0.5], [0.0, 1.0]]).unwrap();
+        let bounds = layout.arranged_bounds(&[[-5.0, 4.0], [-1.0, 0.5], [0.0, 1.0]]);
         assert_eq!((bounds[4], bounds[3], bounds[6]), ([-0.5, 0.4], [-0.5, 1.0], [0.0, 1.0]));
         assert_eq!(bounds[0], [f32::NEG_INFINITY, f32::INFINITY]);
-        let twice = ObservationLayout::parse("theta_dot, theta_dot").unwrap();
-        assert!(twice.arranged_bounds(&[[-1.0, 1.0], [-2.0, 2.0]]).is_none());
+    }
+
+    #[test]
+    fn an_entry_that_is_named_twice_is_refused() {
+        let refused = ObservationLayout::parse("sin_theta, cos_theta, 2*sin_theta").unwrap_err();
+        assert_eq!(refused, LayoutError::RepeatedEntry { name: "sin_theta" });
     }
 
     #[test]

@@ -5,6 +5,7 @@ use serde_json::Value;
 
 use super::*;
 use crate::policy::Policy;
+use crate::qube::PlantModel;
 use crate::storage::ProtobufMessage as Message;
 
 const MODELS: [(&str, &[u8]); 4] = [
@@ -304,7 +305,8 @@ fn an_observation_in_another_order_is_rearranged() {
 
 fn foreign(action_scale_v: f32, clip_observation: Option<f32>) -> ForeignConventions {
     let (layout, corner_rad_s) = (ObservationLayout::own(0), 200.0);
-    ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation }
+    let plant = PlantModel::QUBE;
+    ForeignConventions { layout, action_scale_v, corner_rad_s, clip_observation, plant }
 }
 
 /// Policies that cover each activation and output function, each number of last commands, bounds,
@@ -326,8 +328,10 @@ fn policies() -> impl Iterator<Item = NetworkPolicy> {
         let network = Network::new(&[inputs, 9, 4, 1], &layers, 4.0 + index as f32).unwrap();
         let network = network.with_functions(activation, output);
         let bounds = (0..bounds).map(|entry| pairs[entry % 3]).collect();
-        let training =
-            TrainingRecord { best_return: Some(500.5), ..TrainingRecord::imported(97.0) };
+        let training = TrainingRecord {
+            best_return: Some(500.5),
+            ..TrainingRecord::imported(97.0, &PlantModel::QUBE)
+        };
         NetworkPolicy { network: network.with_bounds(bounds).unwrap(), training }
     })
 }
