@@ -504,10 +504,10 @@ fn the_qubes_of_a_session_keep_their_places() {
         };
         let folder = SessionFolder::open(&root).unwrap();
         let [first, second] = named.map(rig);
-        Session::open(folder, settings, first, Arc::new(AtomicBool::new(false)))
+        let mut session = Session::open(folder, settings, first, Arc::new(AtomicBool::new(false)))
             .unwrap()
-            .spread_over([(second, None)])
-            .on_the_same_boards()
+            .spread_over([(second, None)]);
+        session.check_boards()
     };
     assert!(opened([&boards[0], &boards[1]]).is_ok());
     let refused = opened([&boards[1], &boards[0]]).err().unwrap().to_string();

@@ -77,9 +77,9 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let failed = |error| failures::session(error, &stop, &resume);
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
     let mut session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
-        .and_then(Session::on_the_same_boards)
         .map_err(failed)?
         .with_profile(device.profile.clone());
+    session.check_boards().map_err(failed)?;
     if let Some(executor) = executor {
         session = session.trained_by(executor);
     }

@@ -289,11 +289,11 @@ fn open(
         let is_hardware = rig_settings.is_hardware();
         let failed =
             |error| failures::session(error, &stop, resume).preceded_by(&format!("{name}:"));
-        let session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
-            .and_then(Session::on_the_same_boards)
+        let mut session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
             .map_err(failed)?
             .with_profile(device.profile.clone())
             .trained_by(Arc::clone(&executor));
+        session.check_boards().map_err(failed)?;
         rigs.push(Rig {
             number,
             device: name_of(&device),

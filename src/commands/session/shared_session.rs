@@ -82,9 +82,8 @@ pub fn run(
     let mut session = Session::open(folder, settings, first, Arc::clone(&stop.flag))
         .map_err(failed)?
         .with_profile(profile)
-        .spread_over(rigs)
-        .on_the_same_boards()
-        .map_err(failed)?;
+        .spread_over(rigs);
+    session.check_boards().map_err(failed)?;
     if let Some(executor) = executor {
         session = session.trained_by(executor);
     }

@@ -34,12 +34,13 @@ fn may_be_embedded(device: &DeviceFacts) -> bool {
 
 impl Session {
     /// Binds each real rig to the board that made its first recording in this session, so that the
-    /// session drives neither another board nor the embedded emulated Qube in its place.
+    /// session drives neither another board nor the embedded emulated Qube in its place. Each run
+    /// begins with this check; a caller makes it earlier to refuse before it announces a motion.
     ///
     /// # Errors
     /// A recording cannot be read, or the settings of a rig are for another board, or for the
     /// embedded emulated Qube where another device made the recordings.
-    pub fn on_the_same_boards(mut self) -> Result<Self, SessionError> {
+    pub fn check_boards(&mut self) -> Result<(), SessionError> {
         for index in 0..self.rigs.len() {
             let Some(device) = self.first_device(self.number_of(index))? else { continue };
             let Some(before) = device.serial().map(str::to_owned) else { continue };
@@ -54,7 +55,7 @@ impl Session {
             }
             keep_on_board(settings, before)?;
         }
-        Ok(self)
+        Ok(())
     }
 
     /// Serial number of the board that made the first finished recording of this rig, or of any rig
@@ -140,13 +141,23 @@ mod tests {
         let root = folder.path().join("session");
         record(&mut session(&root, None), "/dev/qube");
         let resumed = |board| {
-            let session = session(&root, board).on_the_same_boards()?;
+            let mut session = session(&root, board);
+            session.check_boards()?;
             let rig = &session.rigs[0].settings;
             Ok::<_, SessionError>((rig.board.clone(), rig.identified().is_some()))
         };
         assert_eq!(resumed(None).unwrap(), (Some("one".into()), false));
         assert_eq!(resumed(Some("one")).unwrap(), (Some("one".into()), true));
         assert!(matches!(resumed(Some("two")), Err(SessionError::OtherBoard { .. })));
+    }
+
+    #[test]
+    fn no_session_runs_on_another_board() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join("session");
+        record(&mut session(&root, None), "/dev/qube");
+        let refused = session(&root, Some("two")).run(&mut |_| ()).err();
+        assert!(matches!(refused, Some(SessionError::OtherBoard { .. })), "{refused:?}");
     }
 
     #[test]
@@ -157,7 +168,7 @@ mod tests {
             record(&mut session(&root, None), port);
             let mut resumed = session(&root, None);
             resumed.rigs[0].settings.device = DeviceChoice::Emulated;
-            let refused = resumed.on_the_same_boards().err();
+            let refused = resumed.check_boards().err();
             let is_refused = matches!(refused, Some(SessionError::EmulatedInPlace { .. }));
             assert_eq!(is_refused, is_other, "{port}: {refused:?}");
         }

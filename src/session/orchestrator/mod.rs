@@ -227,6 +227,7 @@ impl Session {
     ) -> Result<(), SessionError> {
         self.ended_by = None;
         self.ledger.check_rigs(self.rigs.len() as u32)?;
+        self.check_boards()?;
         self.pass_doubt_to_rig(on_event)?;
         // Reads every recording and policy before anything moves or is trained, because the search
         // needs every return.
