@@ -4,10 +4,10 @@
 //! recordings, each with its own start state (multiple shooting). It gives standard errors and the
 //! combinations that the recordings do not determine, and tests whether the model describes the
 //! Qube. [`next_excitations`] ranks excitations by their expected information. [`Drift`] compares
-//! the quantities that change from day to day with a profile. Only [`read_recordings`],
-//! [`read_fittable`] and [`duplicate`] look at files; the rest of the room is pure computation. It
-//! may import `policy` (the excitations), `recording`, `telemetry`, `qube`, `replay` and
-//! `elementary`.
+//! the quantities that change from day to day with a profile. Only [`read_recordings`] and
+//! [`duplicate`] look at files; the rest of the room is pure computation. [`fit_profile`] is the
+//! fit of sessions and experiments. The room may import `policy` (the excitations), `recording`,
+//! `telemetry`, `qube`, `replay` and `elementary`.
 //!
 //! This example drives an emulated Qube whose winding has 20 % more resistance than its name plate
 //! says, and estimates this resistance:
@@ -61,6 +61,7 @@ mod next_excitation;
 mod offsets;
 mod prediction;
 mod profile;
+mod profile_fit;
 mod recordings;
 mod residuals;
 mod sensitivity;
@@ -80,9 +81,10 @@ pub use prediction::{
     HorizonError, KNOWN_S, PredictionBand, PredictionRegime, PredictionTimes, horizon_error,
     prediction_errors, regime_error, start_state,
 };
+pub use profile_fit::{FitData, FittedProfile, ProfileFit, UnfitRecording, fit_profile};
 pub use recordings::{
-    FittableRecordings, IncompleteRecording, LeftOut, Recordings, RecordingsError, duplicate,
-    read_fittable, read_recordings, series_of,
+    IncompleteRecording, LeftOut, Recordings, RecordingsError, duplicate, read_recordings,
+    series_of,
 };
 pub use residuals::ResidualScale;
 pub use stretch::{comes_upright, duration_of};

@@ -29,17 +29,17 @@ pub struct Recordings<const N: usize> {
 
 /// Recordings of one plant without the uninformative recordings.
 #[derive(Debug, Default)]
-pub struct FittableRecordings {
+struct FittableRecordings {
     /// Motions of the recordings that are used.
-    pub logs: Vec<MotionLog>,
+    logs: Vec<MotionLog>,
     /// Paths of the recordings that are used, in the same order.
-    pub files: Vec<PathBuf>,
+    files: Vec<PathBuf>,
     /// Uninformative recordings; they are left out, because others are used.
-    pub left_out: Vec<LeftOut>,
+    left_out: Vec<LeftOut>,
     /// Serial numbers of the boards that made the recordings that are used.
-    pub boards: BTreeSet<String>,
+    boards: BTreeSet<String>,
     /// Recordings in use that hold only a part of their rollout.
-    pub incomplete: Vec<IncompleteRecording>,
+    incomplete: Vec<IncompleteRecording>,
 }
 
 /// A recording that holds only a part of its rollout.
@@ -188,7 +188,7 @@ pub fn read_recordings<const N: usize>(
 /// # Errors
 /// A file cannot be read, is of another plant, has a defect because of which it cannot be fitted,
 /// or all recordings are uninformative.
-pub fn read_fittable(
+fn read_fittable(
     paths: &[PathBuf],
     plant: &mut Option<PlantModel>,
 ) -> Result<FittableRecordings, RecordingsError> {

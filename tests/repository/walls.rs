@@ -82,7 +82,7 @@ const ROOMS: &[Room] = &[
     room("rig", &["clock", "qube", "estimation", "safety", "policy", "device", "telemetry", "control",
                   "recording", "preflight", "storage"]),
     room("session", &["qube", "estimation", "safety", "policy", "simulation", "learning", "jobs", "surrogate",
-                      "search", "device", "telemetry", "control", "recording", "replay",
+                      "search", "device", "telemetry", "control", "recording",
                       "identification", "rig", "scoring", "storage"]),
     room("experiment", &["elementary", "qube", "policy", "simulation", "learning", "jobs", "search",
                          "recording", "telemetry", "rig", "session", "scoring", "storage", "identification", "replay"]),

@@ -10,11 +10,11 @@ use super::run::{Access, MethodRun, OnDisk, Recommendation, Recommendations, Rec
 use crate::experiment::folder::make;
 use crate::experiment::seal::Seal;
 use crate::experiment::{ExperimentError, ExperimentEvent, Recipe};
-use crate::identification::{ModelVerdict, RecordingsError, Unknown, identify, read_fittable};
+use crate::identification::{FitData, ProfileFit, fit_profile};
 use crate::policy::{Excitation, Policy};
 use crate::qube::{Profile, ProfileError};
-use crate::replay::{MotionLog, MotionLogError};
-use crate::session::{FolderError, SessionSettings};
+use crate::recording;
+use crate::session::SessionSettings;
 use crate::simulation::{Model, ProfileSettings, PsiError};
 use crate::storage::{Disk, MachineDisk, write_whole};
 
@@ -33,21 +33,6 @@ enum NoRecommendation {
     Profile(#[from] ProfileError),
     #[error(transparent)]
     Psi(#[from] PsiError),
-}
-
-/// The recordings that a fit may use.
-enum Usable {
-    /// A fit uses some of the recordings.
-    Used {
-        /// Their motions.
-        logs: Vec<MotionLog>,
-        /// Serial numbers of the boards that made them.
-        boards: BTreeSet<String>,
-        /// Each of the other recordings, with the reason why it is left out.
-        left_out: Vec<String>,
-    },
-    /// No fit is possible, for this reason.
-    Refused(String),
 }
 
 /// The width of the training distribution around an identified Qube.
@@ -138,55 +123,39 @@ impl<'a> FromRecordings<'a> {
         }
     }
 
-    /// The recordings among the first `recordings` that a fit may use, by the rule of the command
-    /// `identify`. Void recordings are left out.
-    fn usable(&self, recordings: u32) -> Result<Usable, ExperimentError> {
-        let (mut paths, mut left_out) = (Vec::new(), Vec::new());
+    /// The first `recordings` recordings, to be fitted, and each recording that is left out with
+    /// its reason. Void recordings are left out.
+    fn fit_data(&self, recordings: u32) -> Result<(FitData<String>, Vec<String>), ExperimentError> {
+        let (mut data, mut left_out) = (FitData::default(), Vec::new());
         for number in 0..recordings {
             match self.recordings.path(number)? {
-                Some(path) => paths.push(path),
+                Some(path) => {
+                    // Without the folder, the name is the same wherever the experiment is.
+                    let name = path.file_name().unwrap_or_default().to_string_lossy();
+                    data.add(&recording::read(&path)?, name.into_owned());
+                }
                 None => left_out.push(format!(
                     "rollout-{number}: a fault ended each attempt, or ticks are missing"
                 )),
             }
         }
-        if paths.is_empty() {
-            return Ok(Usable::Refused(left_out.join("; ")));
-        }
-        let fittable = match read_fittable(&paths, &mut None) {
-            Ok(fittable) => fittable,
-            Err(RecordingsError::Motion(MotionLogError::Recording(error))) => {
-                return Err(error.into());
-            }
-            Err(RecordingsError::Motion(MotionLogError::Read { path, source })) => {
-                return Err(FolderError::Io { path, source }.into());
-            }
-            Err(unfit) => return Ok(Usable::Refused(self.recordings.in_words(&unfit))),
-        };
-        left_out.extend(fittable.left_out.iter().map(|it| self.recordings.in_words(&it.why)));
-        Ok(Usable::Used { logs: fittable.logs, boards: fittable.boards, left_out })
+        left_out.extend(data.left_out.iter().map(|it| format!("{}: {}", it.name, it.reason())));
+        Ok((data, left_out))
     }
 
     /// Identifies the Qube from the first `recordings` recordings, and names the recordings that
     /// are left out.
     fn fit(&self, recordings: u32) -> Result<Fit, ExperimentError> {
-        let (logs, boards, left_out) = match self.usable(recordings)? {
-            Usable::Used { logs, boards, left_out } => (logs, boards, left_out),
-            Usable::Refused(reason) => return Ok(Fit::Refused(reason)),
-        };
-        self.name_left_out(recordings, &left_out)?;
-        let unknowns: Vec<Unknown> = Unknown::all().collect();
-        let found = match identify(&logs, &unknowns, &self.run.recipe.settings.plant().nominal()) {
-            Ok(found) => found,
-            Err(why) => return Ok(Fit::Refused(why.to_string())),
-        };
-        if found.assessment.verdict == ModelVerdict::DoesNotFit {
-            return Ok(Fit::Refused("the model does not describe this Qube".into()));
+        let (data, left_out) = self.fit_data(recordings)?;
+        if data.usable() > 0 {
+            self.name_left_out(recordings, &left_out)?;
         }
-        // The name counts the fitted recordings alone.
-        let name = format!("{} from {} recordings", self.run.name, logs.len());
-        let profile = found.profile(&name, Vec::new(), boards.into_iter().collect());
-        Ok(Fit::Found(toml::to_string_pretty(&profile)?))
+        let plant = self.run.recipe.settings.plant();
+        Ok(match fit_profile(&data, plant, &self.run.name) {
+            ProfileFit::Found(found) => Fit::Found(toml::to_string_pretty(&found.profile)?),
+            ProfileFit::Unfit(_) => Fit::Refused(left_out.join("; ")),
+            ProfileFit::Refused(reason) => Fit::Refused(reason),
+        })
     }
 
     /// Writes a file with the recordings that the fit to the first `recordings` recordings leaves
@@ -347,10 +316,8 @@ mod tests {
             (swings, void, 300),
         ];
         let reported = of_recordings(&recorded, |method| {
-            let Usable::Used { logs, left_out, .. } = method.usable(3).unwrap() else {
-                panic!("the second recording can be fitted");
-            };
-            assert_eq!(logs.len(), 1);
+            let (data, left_out) = method.fit_data(3).unwrap();
+            assert_eq!(data.usable(), 1);
             assert_eq!(left_out.len(), 2, "{left_out:?}");
             assert!(left_out[0].starts_with("rollout-2: a fault ended"), "{left_out:?}");
             assert!(left_out[1].starts_with("rollout-0-attempt-0.mcap: it lasts"), "{left_out:?}");
@@ -387,13 +354,15 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_with_a_defect_is_refused_as_identify_does() {
+    fn a_recording_with_a_defect_is_left_out_as_in_a_session() {
         let frozen = |time_s: f64| State { theta: 0.3, theta_dot: 0.0, ..swings(time_s) };
         let recorded: [Motion; 2] =
             [(swings, Ending::Completed, 300), (frozen, Ending::Completed, 300)];
         of_recordings(&recorded, |method| {
-            let Fit::Refused(reason) = method.fit(2).unwrap() else { panic!("the arm is frozen") };
-            assert!(reason.starts_with("rollout-1-attempt-0.mcap: the arm's count"), "{reason}");
+            let (data, left_out) = method.fit_data(2).unwrap();
+            assert_eq!(data.usable(), 1);
+            let [named] = left_out.as_slice() else { panic!("{left_out:?}") };
+            assert!(named.starts_with("rollout-1-attempt-0.mcap: the arm's count"), "{named}");
         });
     }
 }

@@ -7,7 +7,7 @@ use crate::experiment::rollouts::{
 };
 use crate::experiment::series::virtual_rig;
 use crate::experiment::{ExperimentError, RolloutResult};
-use crate::identification::{RecordingsError, excitation_after};
+use crate::identification::excitation_after;
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
 use crate::qube::{PlantModel, Profile};
 use crate::rig::{RigSettings, RolloutPlan};
@@ -108,12 +108,6 @@ impl<'a> MethodRecordings<'a> {
     /// A recording cannot be read.
     pub fn path(&self, number: u32) -> Result<Option<PathBuf>, ExperimentError> {
         scored_recording(&self.rollouts(), number, self.repetitions())
-    }
-
-    /// The reason why a recording is not used, in words. Files are named within the folder, so that
-    /// the words are the same wherever the experiment is.
-    pub fn in_words(&self, why: &RecordingsError) -> String {
-        why.to_string().replace(&format!("{}/", self.folder().display()), "")
     }
 
     /// The results of these recordings, by number, up to the first that is not complete on disk.

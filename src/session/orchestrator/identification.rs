@@ -1,19 +1,13 @@
 //! Identifies the Qube from the session's recordings and decides whether the search around it
 //! continues.
 
-use std::collections::BTreeSet;
-
 use super::Session;
 use super::proposals::Proposal;
 use super::rollouts::SessionRig;
-use crate::identification::{
-    Identified, IdentifyError, ModelVerdict, Unfit, Unknown, check_recording, excitation_after,
-    identify,
-};
+use crate::identification::{FitData, FittedProfile, ProfileFit, excitation_after, fit_profile};
 use crate::policy::{Excitation, Policy};
 use crate::qube::Profile;
-use crate::recording::{Recording, read_on};
-use crate::replay::MotionLog;
+use crate::recording::read_on;
 use crate::session::decision::{Decision, decide};
 use crate::session::settings::INITIAL_AROUND;
 use crate::session::{
@@ -21,6 +15,9 @@ use crate::session::{
     SessionEvent, StoredProfile, identified_profile,
 };
 use crate::storage::{checksum_of, write_whole};
+
+/// Recordings of a session, by candidate and rollout.
+type SessionFitData = FitData<(u32, u32)>;
 
 impl Session {
     /// Guards an emulated Qube as an unidentified one if the session will identify it, because
@@ -63,8 +60,8 @@ impl Session {
         let of_qube_v = self.settings.identification.unwrap_or_default().excitation_v;
         let limit_v = plant.volts_like(of_qube_v);
         let profile = match self.fitted(&self.fit_data()?) {
-            Fitted::Found(found) => Some(found.profile),
-            Fitted::Unfit(_) | Fitted::Refused(_) => None,
+            ProfileFit::Found(found) => Some(found.profile),
+            ProfileFit::Unfit(_) | ProfileFit::Refused(_) => None,
         };
         Ok(excitation_after(profile.as_ref(), plant, limit_v, candidate))
     }
@@ -80,12 +77,12 @@ impl Session {
         }
         let data = self.fit_data_reported(on_event)?;
         match self.fitted(&data) {
-            Fitted::Found(found) => self.append_profile(*found, on_event),
-            Fitted::Unfit(reason) if self.may_excite_again() => {
+            ProfileFit::Found(found) => self.append_profile(*found, on_event),
+            ProfileFit::Unfit(reason) if self.may_excite_again() => {
                 on_event(SessionEvent::ExcitationRepeated(&reason));
                 self.append_proposal(Proposal::of(Purpose::Excitation, Vec::new()), on_event)
             }
-            Fitted::Unfit(reason) | Fitted::Refused(reason) => {
+            ProfileFit::Unfit(reason) | ProfileFit::Refused(reason) => {
                 self.ledger.append(Entry::NotIdentified { reason: reason.clone() })?;
                 on_event(SessionEvent::NotIdentified(&reason));
                 Ok(())
@@ -103,8 +100,8 @@ impl Session {
         let data = self.fit_data_reported(on_event)?;
         let reason = if data.usable() > self.ledger.state().identification().fitted_recordings() {
             match self.fitted(&data) {
-                Fitted::Found(found) => return self.append_profile(*found, on_event),
-                Fitted::Unfit(reason) | Fitted::Refused(reason) => reason,
+                ProfileFit::Found(found) => return self.append_profile(*found, on_event),
+                ProfileFit::Unfit(reason) | ProfileFit::Refused(reason) => reason,
             }
         } else {
             "none of its recordings can be fitted".to_owned()
@@ -123,11 +120,11 @@ impl Session {
             return Ok(Refit::NothingNew);
         }
         match self.fitted(&data) {
-            Fitted::Found(found) => {
+            ProfileFit::Found(found) => {
                 self.append_profile(*found, on_event)?;
                 Ok(Refit::Found)
             }
-            Fitted::Unfit(reason) | Fitted::Refused(reason) => {
+            ProfileFit::Unfit(reason) | ProfileFit::Refused(reason) => {
                 let entry =
                     Entry::NotUpdated { recordings: Some(recordings), reason: reason.clone() };
                 self.ledger.append(entry)?;
@@ -294,8 +291,8 @@ impl Session {
 
     /// Reads the recordings so far that identify the Qube: of excitations and of the search's
     /// candidates, and after the end of the search also of the verification.
-    fn fit_data(&self) -> Result<FitData, SessionError> {
-        let mut data = FitData::default();
+    fn fit_data(&self) -> Result<SessionFitData, SessionError> {
+        let mut data = SessionFitData::default();
         let state = self.ledger.state();
         let is_used = |purpose: Purpose| {
             purpose.informs() || (state.gain_at_end().is_some() && purpose.verifies())
@@ -303,7 +300,9 @@ impl Session {
         for candidate in state.candidates().iter().filter(|it| is_used(it.purpose)) {
             for finished in &candidate.finished {
                 let path = self.recording(finished.of_candidate(candidate.number));
-                data.add(&read_on(self.folder.disk(), &path)?, candidate.number);
+                let recording = read_on(self.folder.disk(), &path)?;
+                let rollout = recording.header.rollout;
+                data.add(&recording, (candidate.number, rollout));
             }
         }
         Ok(data)
@@ -314,10 +313,10 @@ impl Session {
     fn fit_data_reported(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
-    ) -> Result<FitData, SessionError> {
+    ) -> Result<SessionFitData, SessionError> {
         let data = self.fit_data()?;
         for it in &data.left_out {
-            let (candidate, rollout) = (it.candidate, it.rollout);
+            let (candidate, rollout) = it.name;
             if self.reported_left_out.insert((candidate, rollout)) {
                 let reason = it.reason();
                 on_event(SessionEvent::RecordingLeftOut { candidate, rollout, reason: &reason });
@@ -327,34 +326,16 @@ impl Session {
     }
 
     /// Fits a profile to recordings.
-    fn fitted(&self, data: &FitData) -> Fitted {
-        let unknowns: Vec<Unknown> = Unknown::all().collect();
-        let found = match identify(&data.logs, &unknowns, &self.settings.plant().nominal()) {
-            Ok(found) => found,
-            Err(IdentifyError::NoRecordings) => return Fitted::Unfit(data.unfit()),
-            Err(error) => return Fitted::Refused(error.to_string()),
-        };
-        let doubts: Vec<String> = found.assessment.doubts.iter().map(ToString::to_string).collect();
-        if found.assessment.verdict == ModelVerdict::DoesNotFit {
-            let doubts = doubts.join("; ");
-            let reason = format!("the model does not describe this Qube: {doubts}");
-            return Fitted::Refused(reason);
-        }
-        let count = data.usable();
-        let name = match count {
-            1 => "identified from 1 recording".to_owned(),
-            _ => format!("identified from {count} recordings"),
-        };
-        let profile = found.profile(&name, Vec::new(), data.boards.iter().cloned().collect());
-        Fitted::Found(Box::new(Found { recordings: count, profile, found, doubts }))
+    fn fitted(&self, data: &SessionFitData) -> ProfileFit {
+        fit_profile(data, self.settings.plant(), "identified")
     }
 
     fn append_profile(
         &mut self,
-        found: Found,
+        found: FittedProfile,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let Found { recordings, profile, found, doubts } = found;
+        let FittedProfile { profile, recordings, verdict, doubts } = found;
         let path = self.folder.paths().profile(recordings);
         let io = |error: toml::ser::Error| FolderError::Io {
             path: path.clone(),
@@ -362,7 +343,7 @@ impl Session {
         };
         let text = toml::to_string_pretty(&profile).map_err(io)?;
         write_whole(self.folder.disk(), &path, text.as_bytes())?;
-        let verdict = found.assessment.verdict.name().to_owned();
+        let verdict = verdict.name().to_owned();
         let checksum = checksum_of(text.as_bytes());
         let doubted = doubts.clone();
         self.ledger.append(Entry::Identified { recordings, verdict, doubts, checksum })?;
@@ -389,71 +370,6 @@ impl Session {
     }
 }
 
-/// Recordings to which a profile is fitted, in the order of their candidates.
-#[derive(Default)]
-struct FitData {
-    logs: Vec<MotionLog>,
-    /// The boards that made these recordings.
-    boards: BTreeSet<String>,
-    /// Recordings that cannot be fitted.
-    left_out: Vec<LeftOut>,
-}
-
-/// A recording that cannot be fitted.
-struct LeftOut {
-    candidate: u32,
-    rollout: u32,
-    /// Defect of its motion; `None` if it shows no motion.
-    defect: Option<Unfit>,
-}
-
-impl FitData {
-    /// Adds a recording of a candidate, or leaves it out if it cannot be fitted.
-    fn add(&mut self, recording: &Recording, candidate: u32) {
-        let log = MotionLog::of_recording(recording);
-        let defect = match log.as_ref().map(check_recording) {
-            Some(Ok(())) => {
-                self.logs.extend(log);
-                self.boards.extend(recording.header.board().map(str::to_owned));
-                return;
-            }
-            Some(Err(defect)) => Some(defect),
-            None => None,
-        };
-        self.left_out.push(LeftOut { candidate, rollout: recording.header.rollout, defect });
-    }
-
-    /// Number of the recordings that can be fitted.
-    fn usable(&self) -> u32 {
-        self.logs.len() as u32
-    }
-
-    /// The reason why no recording can be fitted.
-    fn unfit(&self) -> String {
-        match self.left_out.iter().rev().find_map(|it| it.defect) {
-            Some(defect) => format!("the recording cannot be fitted: {defect}"),
-            None => "no recording shows a motion".to_owned(),
-        }
-    }
-}
-
-impl LeftOut {
-    fn reason(&self) -> String {
-        self.defect.map_or_else(|| "it shows no motion".to_owned(), |it| it.to_string())
-    }
-}
-
-/// The result of fitting a profile to recordings.
-enum Fitted {
-    /// The profile.
-    Found(Box<Found>),
-    /// No recording shows a motion that can be fitted, for this reason; another recording may show
-    /// one.
-    Unfit(String),
-    /// The fit failed, or the model does not describe this Qube, for this reason.
-    Refused(String),
-}
-
 /// The result of fitting the Qube anew during the search.
 enum Refit {
     /// There is a new profile.
@@ -462,12 +378,4 @@ enum Refit {
     Failed(String),
     /// The latest profile stays: each recording that can be fitted was in an earlier fit.
     NothingNew,
-}
-
-/// A fitted profile with the fit's result and its doubts.
-struct Found {
-    recordings: u32,
-    profile: Profile,
-    found: Identified,
-    doubts: Vec<String>,
 }
