@@ -7,7 +7,6 @@ use thiserror::Error;
 use super::MethodSettings;
 use super::recordings::{MethodRecordings, Recorded, excitation, read};
 use super::run::{Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended};
-use crate::experiment::folder::make;
 use crate::experiment::seal::Seal;
 use crate::experiment::{ExperimentError, ExperimentEvent, Recipe};
 use crate::identification::{FitData, ProfileFit, fit_profile};
@@ -67,9 +66,6 @@ pub(super) struct FromRecordings<'a> {
     width: Width,
     further: Further,
     recordings: MethodRecordings<'a>,
-    /// Number of recordings, counted from the first, that are known to be complete and need not be
-    /// read again.
-    complete: u32,
     /// Recordings that are reported as left out.
     reported: RefCell<BTreeSet<String>>,
 }
@@ -83,7 +79,7 @@ impl<'a> FromRecordings<'a> {
         further: Further,
     ) -> Self {
         let (recordings, reported) = (MethodRecordings::of(run), RefCell::default());
-        Self { run, settings, width, further, recordings, complete: 0, reported }
+        Self { run, settings, width, further, recordings, reported }
     }
 
     /// The excitation for the recording with this number.
@@ -112,7 +108,7 @@ impl<'a> FromRecordings<'a> {
     }
 
     /// Makes the recording with this number if it does not exist.
-    fn record(&mut self, number: u32) -> Result<(), ExperimentError> {
+    fn record(&self, number: u32) -> Result<(), ExperimentError> {
         if number == 0 || self.further == Further::Excitations {
             let excitation = self.excitation(number)?;
             let kind = Recorded::Excitation(excitation.shape());
@@ -257,14 +253,7 @@ impl Recommendations for FromRecordings<'_> {
     }
 
     fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
-        if self.run.access.works() {
-            make(&self.run.folder)?;
-            for number in self.complete..steps {
-                self.record(number)?;
-            }
-        }
-        self.complete = self.recordings.complete_from(self.complete, steps)?;
-        if self.complete < steps {
+        if !self.recordings.complete_to(steps, |number| self.record(number))? {
             return Ok(Recommended::NotOnDisk);
         }
         self.recommended(steps)

@@ -1,7 +1,9 @@
+use std::cell::Cell;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::run::MethodRun;
+use crate::experiment::folder::make;
 use crate::experiment::rollouts::{
     Repeated, RolloutFolder, finished_result, is_complete, scored_recording,
 };
@@ -32,12 +34,15 @@ pub(super) enum Recorded {
 /// The recordings that are the data of a method's run, by number.
 pub(super) struct MethodRecordings<'a> {
     run: &'a MethodRun<'a>,
+    /// Number of recordings, counted from the first, that are known to be complete on disk and need
+    /// not be read again.
+    complete: Cell<u32>,
 }
 
 impl<'a> MethodRecordings<'a> {
     /// The recordings in the folder of a run.
     pub fn of(run: &'a MethodRun<'a>) -> Self {
-        Self { run }
+        Self { run, complete: Cell::default() }
     }
 
     fn folder(&self) -> PathBuf {
@@ -119,17 +124,27 @@ impl<'a> MethodRecordings<'a> {
         numbers.map_while(|number| result(number).transpose()).collect()
     }
 
-    /// Number of recordings, counted from the first, that are complete on disk, up to `count`. The
-    /// first `known` recordings are not read again.
+    /// Completes the first `count` recordings with `record`, which makes the recording with a
+    /// number if it does not exist; a read-only run makes none. Returns whether all are complete on
+    /// disk.
     ///
     /// # Errors
-    /// A recording cannot be read.
-    pub fn complete_from(&self, known: u32, count: u32) -> Result<u32, ExperimentError> {
-        let mut complete = known;
+    /// The errors of `record`, or an existing recording cannot be read.
+    pub fn complete_to(
+        &self,
+        count: u32,
+        record: impl Fn(u32) -> Result<(), ExperimentError>,
+    ) -> Result<bool, ExperimentError> {
+        let mut complete = self.complete.get();
+        if self.run.access.works() {
+            make(&self.run.folder)?;
+            (complete..count).try_for_each(record)?;
+        }
         while complete < count && is_complete(&self.rollouts(), complete, self.repetitions())? {
             complete += 1;
         }
-        Ok(complete)
+        self.complete.set(complete);
+        Ok(complete >= count)
     }
 }
 
@@ -171,7 +186,7 @@ mod tests {
         }
         record(&run, RolloutAttempt { rollout: 1, attempt: 0 }, void, 300, swings);
         record(&run, RolloutAttempt { rollout: 1, attempt: 1 }, Ending::Completed, 300, swings);
-        assert_eq!(recordings.complete_from(0, 2).unwrap(), 2);
+        assert!(recordings.complete_to(2, |_| panic!("the run is read-only")).unwrap());
         assert_eq!(recordings.path(0).unwrap(), None);
         assert_eq!(
             recordings.path(1).unwrap(),

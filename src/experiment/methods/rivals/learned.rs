@@ -3,7 +3,6 @@ use super::kind::RivalKind;
 use super::rival::{Data, Draws, POINTS, Rival, RivalInput, random};
 use super::simulator::Demonstration;
 use super::space::{Space, distribution_of};
-use crate::experiment::folder::make;
 use crate::experiment::methods::MethodSettings;
 use crate::experiment::methods::recordings::{MethodRecordings, Recorded, excitation, read};
 use crate::experiment::methods::run::{
@@ -33,9 +32,6 @@ pub struct FromRival<'a> {
     kind: RivalKind,
     rival: Box<dyn Rival>,
     recordings: MethodRecordings<'a>,
-    /// Number of recordings, counted from the first, that are known to be complete and need not be
-    /// read again.
-    complete: u32,
     space: Space,
 }
 
@@ -45,7 +41,7 @@ impl<'a> FromRival<'a> {
         let recordings = MethodRecordings::of(run);
         let space = Space::of_unknown(run.recipe.settings.plant());
         let rival = kind.rival(&settings.rivals);
-        Self { run, settings, kind, rival, recordings, complete: 0, space }
+        Self { run, settings, kind, rival, recordings, space }
     }
 
     /// Seed of the belief and the recommendation after `recordings` recordings.
@@ -238,14 +234,7 @@ impl Recommendations for FromRival<'_> {
     fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
         let requested_steps = steps;
         let steps = if self.rival.data() == Data::None { 0 } else { requested_steps };
-        if self.run.access.works() {
-            make(&self.run.folder)?;
-            for number in self.complete..steps {
-                self.record(number)?;
-            }
-        }
-        self.complete = self.recordings.complete_from(self.complete, steps)?;
-        if self.complete < steps {
+        if !self.recordings.complete_to(steps, |number| self.record(number))? {
             return Ok(Recommended::NotOnDisk);
         }
         Ok(match self.belief(steps)? {
