@@ -91,10 +91,10 @@ impl Experiment {
                 not_scored(1, made);
                 continue;
             }
-            let (recommendation, fallback) = match recommendations.after(steps)? {
+            let OnDisk::Found(recommended) = recommendations.after(steps)? else { break };
+            let (recommendation, fallback) = match recommended {
                 Recommended::Found(recommendation) => (*recommendation, None),
                 Recommended::Refused(reason) => (run.without_identification(), Some(reason)),
-                Recommended::NotOnDisk => break,
             };
             let OnDisk::Found(ScoredPolicy { result, made }) =
                 run.scored_on_its_plant(&recommendation, steps, number, methods)?
@@ -316,8 +316,8 @@ mod tests {
             self.each
         }
 
-        fn after(&mut self, _steps: u32) -> Result<Recommended, ExperimentError> {
-            Ok(Recommended::NotOnDisk)
+        fn after(&mut self, _steps: u32) -> Result<OnDisk<Recommended>, ExperimentError> {
+            Ok(OnDisk::Missing)
         }
     }
 

@@ -111,8 +111,10 @@ impl MethodRun<'_> {
         let mut last_score = Made::Earlier;
         for steps in 1..=recommendations.count() {
             let real_rollouts = steps * recommendations.rollouts_each();
-            let result = match recommendations.after(steps)? {
-                Recommended::NotOnDisk => return Ok(last_score),
+            let OnDisk::Found(recommended) = recommendations.after(steps)? else {
+                return Ok(last_score);
+            };
+            let result = match recommended {
                 Recommended::Refused(reason) => RecommendationResult {
                     real_rollouts,
                     outcome: RecommendationOutcome::Refused(reason),

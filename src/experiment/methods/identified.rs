@@ -99,7 +99,7 @@ impl<'a> FromRecordings<'a> {
     /// returns its bytes.
     fn policy(&self, number: u32) -> Result<Vec<u8>, ExperimentError> {
         let recommendation = match self.recommended(number)? {
-            Recommended::Found(recommendation) => *recommendation,
+            OnDisk::Found(Recommended::Found(recommendation)) => *recommendation,
             _ => self.run.without_identification(),
         };
         let series = self.run.series(&recommendation, number, self.settings.trainings);
@@ -208,11 +208,11 @@ impl<'a> FromRecordings<'a> {
     }
 
     /// The recommendation after `recordings` recordings, all of which exist.
-    fn recommended(&self, recordings: u32) -> Result<Recommended, ExperimentError> {
-        Ok(match self.stored_fit(recordings)? {
-            OnDisk::Missing => Recommended::NotOnDisk,
-            OnDisk::Found(Fit::Refused(reason)) => Recommended::Refused(reason),
-            OnDisk::Found(Fit::Found(profile)) => match self.recommendation(&profile) {
+    fn recommended(&self, recordings: u32) -> Result<OnDisk<Recommended>, ExperimentError> {
+        let OnDisk::Found(fit) = self.stored_fit(recordings)? else { return Ok(OnDisk::Missing) };
+        Ok(OnDisk::Found(match fit {
+            Fit::Refused(reason) => Recommended::Refused(reason),
+            Fit::Found(profile) => match self.recommendation(&profile) {
                 Ok(recommendation) => Recommended::Found(Box::new(recommendation)),
                 // No fit writes such a text, so the file was damaged.
                 Err(NoRecommendation::Profile(ProfileError::Invalid(error))) => {
@@ -221,7 +221,7 @@ impl<'a> FromRecordings<'a> {
                 }
                 Err(error) => Recommended::Refused(error.to_string()),
             },
-        })
+        }))
     }
 
     /// The recommendation around the Qube of a profile, or the reason why there is none.
@@ -252,9 +252,9 @@ impl Recommendations for FromRecordings<'_> {
         1
     }
 
-    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
+    fn after(&mut self, steps: u32) -> Result<OnDisk<Recommended>, ExperimentError> {
         if !self.recordings.complete_to(steps, |number| self.record(number))? {
-            return Ok(Recommended::NotOnDisk);
+            return Ok(OnDisk::Missing);
         }
         self.recommended(steps)
     }

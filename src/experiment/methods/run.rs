@@ -25,14 +25,12 @@ impl Recommendation {
     }
 }
 
-/// The result of asking a method for a recommendation.
+/// The answer of a method that is asked for a recommendation.
 pub(super) enum Recommended {
     /// The method has a recommendation, whose policies can be scored.
     Found(Box<Recommendation>),
     /// The method has no recommendation, for this reason.
     Refused(String),
-    /// The run is read-only, and the result is not on disk.
-    NotOnDisk,
 }
 
 /// The sequence of recommendations of a method.
@@ -53,7 +51,7 @@ pub(super) trait Recommendations {
     ///
     /// # Errors
     /// The work ends early, or a file cannot be read.
-    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError>;
+    fn after(&mut self, steps: u32) -> Result<OnDisk<Recommended>, ExperimentError>;
 }
 
 /// The right of a run to make the results that are missing on disk.
@@ -176,7 +174,8 @@ impl Recommendations for WithoutRollouts<'_> {
         0
     }
 
-    fn after(&mut self, _steps: u32) -> Result<Recommended, ExperimentError> {
-        Ok(Recommended::Found(Box::new(self.0.without_identification())))
+    fn after(&mut self, _steps: u32) -> Result<OnDisk<Recommended>, ExperimentError> {
+        let recommendation = Box::new(self.0.without_identification());
+        Ok(OnDisk::Found(Recommended::Found(recommendation)))
     }
 }

@@ -1,4 +1,4 @@
-use super::run::{Access, MethodRun, Recommendation, Recommendations, Recommended};
+use super::run::{Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended};
 use crate::experiment::folder::make;
 use crate::experiment::search::{open_search, searched};
 use crate::experiment::{ExperimentError, ExperimentEvent};
@@ -76,15 +76,15 @@ impl Recommendations for FromSearch<'_> {
         self.settings.extent.rollouts
     }
 
-    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
+    fn after(&mut self, steps: u32) -> Result<OnDisk<Recommended>, ExperimentError> {
         let steps = steps as usize;
         if self.evaluated.len() < steps {
             self.search_to(steps as u32)?;
             self.read_evaluated()?;
         }
-        let Some(data) = self.evaluated.get(..steps) else { return Ok(Recommended::NotOnDisk) };
+        let Some(data) = self.evaluated.get(..steps) else { return Ok(OnDisk::Missing) };
         let psi = self.settings.psi.psi(&self.strategy.best(data)?.point)?;
-        let recipe = self.run.recipe.clone();
-        Ok(Recommended::Found(Box::new(Recommendation::of(recipe, Some(psi)))))
+        let recommendation = Recommendation::of(self.run.recipe.clone(), Some(psi));
+        Ok(OnDisk::Found(Recommended::Found(Box::new(recommendation))))
     }
 }

@@ -231,20 +231,16 @@ impl Recommendations for FromRival<'_> {
         0
     }
 
-    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
+    fn after(&mut self, steps: u32) -> Result<OnDisk<Recommended>, ExperimentError> {
         let requested_steps = steps;
         let steps = if self.rival.data() == Data::None { 0 } else { requested_steps };
         if !self.recordings.complete_to(steps, |number| self.record(number))? {
-            return Ok(Recommended::NotOnDisk);
+            return Ok(OnDisk::Missing);
         }
-        Ok(match self.belief(steps)? {
-            OnDisk::Missing => Recommended::NotOnDisk,
-            OnDisk::Found(belief) => {
-                let recommendation = self.recommendation(&belief, steps);
-                self.train_own_policy(&recommendation, requested_steps)?;
-                Recommended::Found(Box::new(recommendation))
-            }
-        })
+        let OnDisk::Found(belief) = self.belief(steps)? else { return Ok(OnDisk::Missing) };
+        let recommendation = self.recommendation(&belief, steps);
+        self.train_own_policy(&recommendation, requested_steps)?;
+        Ok(OnDisk::Found(Recommended::Found(Box::new(recommendation))))
     }
 }
 

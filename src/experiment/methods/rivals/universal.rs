@@ -5,7 +5,9 @@ use super::space::{Space, distribution_of};
 use crate::experiment::folder::make;
 use crate::experiment::methods::MethodSettings;
 use crate::experiment::methods::recordings::{MethodRecordings, Recorded};
-use crate::experiment::methods::run::{MethodRun, Recommendation, Recommendations, Recommended};
+use crate::experiment::methods::run::{
+    MethodRun, OnDisk, Recommendation, Recommendations, Recommended,
+};
 use crate::experiment::series::FreshSimulations;
 use crate::experiment::{ExperimentError, Recipe};
 use crate::jobs::{JobError, TrainingScore};
@@ -129,7 +131,7 @@ impl Recommendations for FromUniversalPolicy<'_> {
         0
     }
 
-    fn after(&mut self, steps: u32) -> Result<Recommended, ExperimentError> {
+    fn after(&mut self, steps: u32) -> Result<OnDisk<Recommended>, ExperimentError> {
         let recommendation = self.recommendation();
         self.read_candidates(steps)?;
         if self.run.access.works() {
@@ -140,7 +142,7 @@ impl Recommendations for FromUniversalPolicy<'_> {
             }
         }
         if self.candidates.count() < steps {
-            return Ok(Recommended::NotOnDisk);
+            return Ok(OnDisk::Missing);
         }
         let series = self.run.series(&recommendation, steps, self.settings.trainings);
         let path = series.folders.policy(0).policy();
@@ -153,7 +155,7 @@ impl Recommendations for FromUniversalPolicy<'_> {
             let inputs = inputs(&best, self.settings.rivals.so_cma_scale);
             series.keep(0, policy.at(&inputs).map_err(JobError::from)?)?;
         }
-        Ok(Recommended::Found(Box::new(recommendation)))
+        Ok(OnDisk::Found(Recommended::Found(Box::new(recommendation))))
     }
 }
 
