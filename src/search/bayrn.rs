@@ -3,9 +3,9 @@ use std::borrow::Cow;
 use super::bayrn_settings::{
     AcquisitionKind, BayRnSettings, IncumbentRule, InitialDesign, NoiseModel,
 };
-use super::observation::{check, check_beside};
+use super::observation::{check, next_indices};
 use super::random::{quasi_random_point, uniform_point};
-use super::{Best, Observation, SearchBox, SearchError, Strategy};
+use super::{Observation, Recommendation, SearchBox, SearchError, Strategy};
 use crate::surrogate::{
     Acquisition, Criterion, Dataset, FitSettings, GaussianProcess, LogExpectedImprovement,
     LogKnowledgeGradient, LogNoisyExpectedImprovement, LogProbabilityOfImprovement,
@@ -193,12 +193,12 @@ impl Strategy for BayRn {
     /// Chooses the points after the initial ones one after the other, each as if the points before
     /// it were pending.
     fn propose(
-        &mut self,
+        &self,
         data: &[Observation],
         pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        let next = check_beside(&self.search_box, data, pending, count)?;
+        let next = next_indices(&self.search_box, data, pending, count)?;
         let largest_observed =
             data.iter().map(Observation::mean_return).fold(f64::NEG_INFINITY, f64::max);
         let mut process: Option<GaussianProcess> = None;
@@ -218,7 +218,7 @@ impl Strategy for BayRn {
         Ok(chosen.split_off(pending.len()))
     }
 
-    fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
+    fn recommend(&self, data: &[Observation]) -> Result<Recommendation, SearchError> {
         if data.is_empty() {
             return Err(SearchError::NothingEvaluated);
         }
@@ -230,7 +230,7 @@ impl Strategy for BayRn {
         let acquisition = on(&process, PosteriorMean);
         let point = self.maximise(&acquisition, &means_at_data(&process), data.len());
         let posterior = process.posterior(&point);
-        Ok(Best {
+        Ok(Recommendation {
             point,
             expected_return: posterior.mean,
             standard_deviation: Some(posterior.deviation()),
@@ -280,7 +280,7 @@ mod tests {
             ] {
                 let mut search = BayRn::new(search_box(), base, 3).unwrap();
                 let data = evaluated(&mut search, Vec::new(), 20);
-                let best = search.best(&data).unwrap();
+                let best = search.recommend(&data).unwrap();
                 assert!(hump(&best.point) > 495.0, "{acquisition:?} {best:?}");
                 assert!(hump(&data[best.best_evaluated].point) > 480.0);
                 assert!((best.expected_return - 500.0).abs() < 30.0);
@@ -354,7 +354,7 @@ mod tests {
 
     #[test]
     fn poor_data_have_a_defined_recommendation() {
-        let mut search = BayRn::new(
+        let search = BayRn::new(
             search_box(),
             BayRnSettings { initial_points: 1, ..settings(AcquisitionKind::default()) },
             1,
@@ -368,12 +368,12 @@ mod tests {
         ] {
             let point = search.propose(&data, &[], 1).unwrap().remove(0);
             search_box().check(0, &point).unwrap();
-            let best = search.best(&data).unwrap();
+            let best = search.recommend(&data).unwrap();
             assert!(
                 best.expected_return.is_finite() && (6.0..10.0).contains(&best.expected_return)
             );
         }
-        assert_eq!(search.best(&[]), Err(SearchError::NothingEvaluated));
+        assert_eq!(search.recommend(&[]), Err(SearchError::NothingEvaluated));
         assert!(search.propose(&[at(3.0, vec![1.0])], &[], 1).is_err());
         assert!(search.propose(&[at(1.0, vec![f64::NAN])], &[], 1).is_err());
         assert!(search.propose(&[at(1.0, vec![1.0])], &[vec![3.0, 0.0]], 1).is_err());

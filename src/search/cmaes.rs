@@ -1,8 +1,8 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::observation::check_beside;
+use super::observation::next_indices;
 use super::random::{best_evaluated, stream};
-use super::{Best, Observation, SearchBox, SearchError, Strategy};
+use super::{Observation, Recommendation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
 
 /// Covariance matrix adaptation (CMA-ES; Hansen 2016, "The CMA Evolution Strategy: A Tutorial"),
@@ -178,12 +178,12 @@ impl Strategy for CmaEs {
     /// Draws each point from the distribution after the complete generations in the data; points of
     /// a later generation may be pending.
     fn propose(
-        &mut self,
+        &self,
         data: &[Observation],
         pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        let next = check_beside(&self.search_box, data, pending, count)?;
+        let next = next_indices(&self.search_box, data, pending, count)?;
         let distribution = self.distribution(data);
         let (directions, lengths) = distribution.axes();
         Ok(next
@@ -202,7 +202,7 @@ impl Strategy for CmaEs {
             .collect())
     }
 
-    fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
+    fn recommend(&self, data: &[Observation]) -> Result<Recommendation, SearchError> {
         best_evaluated(&self.search_box, data)
     }
 }
@@ -222,7 +222,7 @@ mod tests {
     #[test]
     fn the_search_learns_the_scales_of_an_ellipsoid() {
         let search_box = SearchBox::unit(4).unwrap();
-        let mut search = CmaEs::new(search_box, 3);
+        let search = CmaEs::new(search_box, 3);
         let scales = [1.0, 3.0, 10.0, 30.0];
         let cost = |x: &[f64]| -> f64 {
             x.iter().zip(scales).map(|(x, s)| (s * (x - 0.35)).powi(2)).sum()
@@ -233,7 +233,7 @@ mod tests {
             let returns = vec![-cost(&point)];
             data.push(Observation { point, returns });
         }
-        let best = search.best(&data).unwrap();
+        let best = search.recommend(&data).unwrap();
         assert!(best.expected_return > -1e-10, "{best:?}");
         let covariance = search.distribution(&data).covariance;
         assert!(covariance[(0, 0)] > 50.0 * covariance[(3, 3)]);

@@ -1,6 +1,6 @@
-use super::observation::check_beside;
+use super::observation::next_indices;
 use super::random::{best_evaluated, stream};
-use super::{Best, Observation, SearchBox, SearchError, Strategy};
+use super::{Observation, Recommendation, SearchBox, SearchError, Strategy};
 use crate::surrogate::normal;
 
 /// The cross-entropy method: samples points from a Gaussian with independent coordinates and moves
@@ -69,12 +69,12 @@ impl Strategy for CrossEntropy {
     /// Draws each point from the Gaussian after the complete generations in the data; points of a
     /// later generation may be pending.
     fn propose(
-        &mut self,
+        &self,
         data: &[Observation],
         pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        let next = check_beside(&self.search_box, data, pending, count)?;
+        let next = next_indices(&self.search_box, data, pending, count)?;
         let gaussian = self.gaussian(data);
         Ok(next
             .map(|index| {
@@ -98,7 +98,7 @@ impl Strategy for CrossEntropy {
             .collect())
     }
 
-    fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
+    fn recommend(&self, data: &[Observation]) -> Result<Recommendation, SearchError> {
         best_evaluated(&self.search_box, data)
     }
 }

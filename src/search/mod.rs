@@ -10,7 +10,7 @@
 //! use qube_hil::surrogate::SearchBox;
 //!
 //! let search_box = SearchBox::new(vec![0.0], vec![2.0])?;
-//! let mut search = StrategyKind::Random.build(&search_box, &BayRnSettings::default(), 1)?;
+//! let search = StrategyKind::Random.build(&search_box, &BayRnSettings::default(), 1)?;
 //! let mut data = Vec::new();
 //! for _ in 0..8 {
 //!     for point in search.propose(&data, &[], 1)? {
@@ -18,7 +18,7 @@
 //!         data.push(Observation { point, returns });
 //!     }
 //! }
-//! assert!(search.best(&data)?.expected_return <= 0.0);
+//! assert!(search.recommend(&data)?.expected_return <= 0.0);
 //! # Ok::<(), qube_hil::search::SearchError>(())
 //! ```
 
@@ -43,5 +43,5 @@ pub use cross_entropy::CrossEntropy;
 pub use error::SearchError;
 pub use observation::Observation;
 pub use random::{RandomSearch, SobolSearch};
-pub use strategy::{Best, Strategy};
+pub use strategy::{Recommendation, Strategy};
 pub use strategy_kind::StrategyKind;

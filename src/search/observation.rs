@@ -48,7 +48,7 @@ pub(super) fn check(search_box: &SearchBox, data: &[Observation]) -> Result<(), 
 
 /// Checks the data like [`check`], and that every pending point lies in the box. Returns the
 /// indices of the next `count` points of the search, counted from 0 over all its points.
-pub(super) fn check_beside(
+pub(super) fn next_indices(
     search_box: &SearchBox,
     data: &[Observation],
     pending: &[Vec<f64>],

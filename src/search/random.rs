@@ -1,8 +1,8 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::observation::{check, check_beside, highest_mean_return};
-use super::{Best, Observation, SearchBox, SearchError, Strategy};
+use super::observation::{check, highest_mean_return, next_indices};
+use super::{Observation, Recommendation, SearchBox, SearchError, Strategy};
 use crate::surrogate::sobol_point;
 
 /// Uniform random search, with which every other strategy is compared.
@@ -22,16 +22,16 @@ impl RandomSearch {
 
 impl Strategy for RandomSearch {
     fn propose(
-        &mut self,
+        &self,
         data: &[Observation],
         pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        let next = check_beside(&self.search_box, data, pending, count)?;
+        let next = next_indices(&self.search_box, data, pending, count)?;
         Ok(next.map(|index| uniform_point(&self.search_box, self.seed, index)).collect())
     }
 
-    fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
+    fn recommend(&self, data: &[Observation]) -> Result<Recommendation, SearchError> {
         best_evaluated(&self.search_box, data)
     }
 }
@@ -53,16 +53,16 @@ impl SobolSearch {
 
 impl Strategy for SobolSearch {
     fn propose(
-        &mut self,
+        &self,
         data: &[Observation],
         pending: &[Vec<f64>],
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
-        let next = check_beside(&self.search_box, data, pending, count)?;
+        let next = next_indices(&self.search_box, data, pending, count)?;
         Ok(next.map(|index| quasi_random_point(&self.search_box, self.seed, index)).collect())
     }
 
-    fn best(&self, data: &[Observation]) -> Result<Best, SearchError> {
+    fn recommend(&self, data: &[Observation]) -> Result<Recommendation, SearchError> {
         best_evaluated(&self.search_box, data)
     }
 }
@@ -93,11 +93,11 @@ pub(super) fn stream(seed: u64, index: usize) -> ChaCha8Rng {
 pub(super) fn best_evaluated(
     search_box: &SearchBox,
     data: &[Observation],
-) -> Result<Best, SearchError> {
+) -> Result<Recommendation, SearchError> {
     check(search_box, data)?;
     let index = highest_mean_return(data)?;
     let expected_return = data[index].mean_return();
-    Ok(Best {
+    Ok(Recommendation {
         point: data[index].point.clone(),
         expected_return,
         standard_deviation: data[index].standard_error(),

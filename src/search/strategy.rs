@@ -15,7 +15,7 @@ pub trait Strategy: Send {
     /// A point of the data or a pending point lies outside the box, a candidate has no return or
     /// one that is not finite, or the data cannot be fitted.
     fn propose(
-        &mut self,
+        &self,
         data: &[Observation],
         pending: &[Vec<f64>],
         count: usize,
@@ -25,12 +25,12 @@ pub trait Strategy: Send {
     ///
     /// # Errors
     /// The data is empty, or [`Strategy::propose`] would fail on it.
-    fn best(&self, data: &[Observation]) -> Result<Best, SearchError>;
+    fn recommend(&self, data: &[Observation]) -> Result<Recommendation, SearchError>;
 }
 
 /// The recommendation of a strategy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Best {
+pub struct Recommendation {
     /// Recommended point in the box's units; it need not have been evaluated.
     pub point: Vec<f64>,
     /// Return expected at the point.

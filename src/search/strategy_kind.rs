@@ -100,7 +100,7 @@ mod tests {
 
     /// The data of a search on a smooth hump that proposes `batch` points at a time.
     fn searched(
-        mut strategy: Box<dyn Strategy>,
+        strategy: Box<dyn Strategy>,
         mut data: Vec<Observation>,
         until: usize,
         batch: usize,
@@ -152,7 +152,7 @@ mod tests {
             let mean = |seed| {
                 let strategy = built(kind, seed);
                 let data = searched(built(kind, seed), vec![], 48, 1);
-                let best = strategy.best(&data).unwrap();
+                let best = strategy.recommend(&data).unwrap();
                 assert!(best.best_evaluated < data.len());
                 data[best.best_evaluated].mean_return()
             };
@@ -171,18 +171,18 @@ mod tests {
         let nan = Observation { point: inside.clone(), returns: vec![1.0, f64::NAN] };
         let none = Observation { point: inside, returns: vec![] };
         for kind in StrategyKind::ALL {
-            let mut strategy = built(kind, 1);
-            let mut refused = |data: &Observation| {
+            let strategy = built(kind, 1);
+            let refused = |data: &Observation| {
                 let data = std::slice::from_ref(data);
                 let error = strategy.propose(data, &[], 1).unwrap_err();
-                assert_eq!(strategy.best(data).unwrap_err().to_string(), error.to_string());
+                assert_eq!(strategy.recommend(data).unwrap_err().to_string(), error.to_string());
                 error
             };
             let error = refused(&outside);
             assert!(matches!(error, SearchError::Surrogate(SurrogateError::OutsideBox { .. })));
             assert!(matches!(refused(&nan), SearchError::ReturnNotFinite { .. }));
             assert_eq!(refused(&none), SearchError::NoReturns { index: 0 });
-            assert_eq!(strategy.best(&[]), Err(SearchError::NothingEvaluated));
+            assert_eq!(strategy.recommend(&[]), Err(SearchError::NothingEvaluated));
         }
     }
 

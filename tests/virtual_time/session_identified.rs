@@ -127,7 +127,7 @@ fn initial_points(folder: &Path) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(folder.join("profile-1.toml")).unwrap();
     let profile = Profile::parse(&text).unwrap();
     let plan = settings.identification.unwrap();
-    let mut search = settings.around(&plan, &profile, &profile).search().unwrap();
+    let search = settings.around(&plan, &profile, &profile).search().unwrap();
     search.propose(&[], &[], 2).unwrap()
 }
 

@@ -83,7 +83,7 @@ impl Recommendations for FromSearch<'_> {
             self.read_evaluated()?;
         }
         let Some(data) = self.evaluated.get(..steps) else { return Ok(OnDisk::Missing) };
-        let psi = self.settings.psi.psi(&self.strategy.best(data)?.point)?;
+        let psi = self.settings.psi.psi(&self.strategy.recommend(data)?.point)?;
         let recommendation = Recommendation::of(self.run.recipe.clone(), Some(psi));
         Ok(OnDisk::Found(Recommended::Found(Box::new(recommendation))))
     }

@@ -72,7 +72,7 @@ impl SessionSource {
         let process = settings
             .surrogate(&data)?
             .ok_or_else(|| NoSurrogate::NoneInStrategy(settings.strategy.name()))?;
-        let best = settings.search()?.best(&data)?.point;
+        let best = settings.search()?.recommend(&data)?.point;
         Ok(SessionSurrogate { settings, data, process, best })
     }
 }

@@ -33,7 +33,7 @@ pub fn simple_regret(
     pending: usize,
     seed: u64,
 ) -> Result<Vec<f64>, SearchError> {
-    let mut strategy = strategy.build(&objective.search_box()?, settings, seed)?;
+    let strategy = strategy.build(&objective.search_box()?, settings, seed)?;
     let mut data: Vec<Observation> = Vec::with_capacity(evaluations);
     let mut best = f64::NEG_INFINITY;
     let mut regret = Vec::with_capacity(evaluations);

@@ -125,7 +125,7 @@ impl TwoHumped {
     /// The search cannot propose or recommend.
     pub fn search(self, variant: SearchVariant, seed: u64) -> Result<f64, SearchError> {
         let landscape = Landscape::new(self.dimensions, seed);
-        let mut strategy = BayRn::new(
+        let strategy = BayRn::new(
             SearchBox::unit(self.dimensions)?,
             variant.settings(self.initial_points),
             seed,
@@ -141,7 +141,7 @@ impl TwoHumped {
             SearchVariant::PlainLuckiest => {
                 data[crate::search::observation::highest_mean_return(&data)?].point.clone()
             }
-            _ => strategy.best(&data)?.point,
+            _ => strategy.recommend(&data)?.point,
         };
         Ok(landscape.expected_return(&recommendation))
     }

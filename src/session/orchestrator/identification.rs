@@ -247,7 +247,7 @@ impl Session {
         let observations = self.observations()?;
         let is_initial = (observations.len() as u32) < INITIAL_AROUND;
         let purpose = if is_initial { Purpose::Initial } else { Purpose::Search };
-        let mut strategy = self.settings.search()?;
+        let strategy = self.settings.search()?;
         let skipped = self.points_without_observation()?;
         let psi = strategy.propose(&observations, &skipped, 1)?.remove(0);
         self.append_proposal(Proposal::of(purpose, psi), on_event)

@@ -35,7 +35,7 @@ impl Session {
         purpose: Purpose,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let mut strategy = self.settings.search()?;
+        let strategy = self.settings.search()?;
         let mut pending = Vec::new();
         let chosen: Vec<Vec<f64>> = match purpose {
             Purpose::Initial => {
@@ -54,7 +54,7 @@ impl Session {
                 strategy.propose(&data, &points, count as usize)?
             }
             Purpose::Excitation | Purpose::Baseline => vec![Vec::new(); count as usize],
-            Purpose::Verification => vec![strategy.best(&self.observations()?)?.point],
+            Purpose::Verification => vec![strategy.recommend(&self.observations()?)?.point],
             Purpose::Incumbent => {
                 let again = Proposal::again(&self.incumbent()?);
                 return self.append_proposal(again, on_event);

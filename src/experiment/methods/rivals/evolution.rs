@@ -14,7 +14,7 @@ pub fn minimise(
     seed: u64,
     cost: impl Fn(&DVector<f64>) -> f64,
 ) -> Result<DVector<f64>, SearchError> {
-    let mut search = CmaEs::between(lower, upper, seed)?;
+    let search = CmaEs::between(lower, upper, seed)?;
     let mut data: Vec<Observation> = Vec::with_capacity(evaluations);
     // Each call of `propose` recomputes the updates of all earlier generations from `data`, so the
     // loop requests a whole generation at a time.
@@ -25,6 +25,6 @@ pub fn minimise(
             data.push(Observation { point, returns: vec![value] });
         }
     }
-    let best = search.best(&data)?;
+    let best = search.recommend(&data)?;
     Ok(DVector::from_vec(best.point))
 }

@@ -95,7 +95,7 @@ impl<'a> FromUniversalPolicy<'a> {
 
     /// The inputs of the next candidate.
     fn next_point(&self) -> Result<Vec<f64>, SearchError> {
-        self.candidates.next(&mut self.search()?, self.space.dimensions())
+        self.candidates.next(&self.search()?, self.space.dimensions())
     }
 
     /// Adds the candidates of the first `recordings` recordings, as far as these are complete on
@@ -149,7 +149,7 @@ impl Recommendations for FromUniversalPolicy<'_> {
         if self.run.access.works() && !MachineDisk.exists(&path) {
             let best = match self.candidates.evaluated(steps).as_slice() {
                 [] => vec![0.0; self.space.dimensions()],
-                data => self.search()?.best(data)?.point,
+                data => self.search()?.recommend(data)?.point,
             };
             let policy = self.policy(&recommendation)?;
             let inputs = inputs(&best, self.settings.rivals.so_cma_scale);
@@ -189,7 +189,7 @@ impl Candidates {
     /// The next candidate: first the mean of the prior, then the proposals of CMA-ES. The search
     /// does not learn from the void rollouts, but counts them, so that each proposal is another
     /// point.
-    fn next(&self, search: &mut CmaEs, dimensions: usize) -> Result<Vec<f64>, SearchError> {
+    fn next(&self, search: &CmaEs, dimensions: usize) -> Result<Vec<f64>, SearchError> {
         if self.0.is_empty() {
             return Ok(vec![0.0; dimensions]);
         }
@@ -220,10 +220,10 @@ mod tests {
     /// dimensions.
     fn searched(candidates: usize) -> Vec<Observation> {
         let bounds = [REACH; 14];
-        let mut search = CmaEs::between(&bounds.map(|bound| -bound), &bounds, 3).unwrap();
+        let search = CmaEs::between(&bounds.map(|bound| -bound), &bounds, 3).unwrap();
         let mut data = Candidates::default();
         for _ in 0..candidates {
-            let point = data.next(&mut search, 14).unwrap();
+            let point = data.next(&search, 14).unwrap();
             let squares = point.iter().map(|entry| (entry - 0.7) * (entry - 0.7));
             let return_ = 500.0 - 20.0 * squares.sum::<f64>();
             data.0.push(Evaluated { point, return_: Some(return_) });
@@ -245,11 +245,11 @@ mod tests {
 
     #[test]
     fn the_search_ignores_a_void_rollout_and_proposes_another_point() {
-        let mut search = CmaEs::between(&[-REACH; 14], &[REACH; 14], 3).unwrap();
+        let search = CmaEs::between(&[-REACH; 14], &[REACH; 14], 3).unwrap();
         let mut data = Candidates::default();
         let mut points = Vec::new();
         for return_ in [None, Some(200.0), None, Some(100.0)] {
-            let point = data.next(&mut search, 14).unwrap();
+            let point = data.next(&search, 14).unwrap();
             assert!(!points.contains(&point));
             data.0.push(Evaluated { point: point.clone(), return_ });
             points.push(point);
@@ -257,7 +257,7 @@ mod tests {
         let evaluated = data.evaluated(4);
         let returns: Vec<f64> = evaluated.iter().map(Observation::mean_return).collect();
         assert_eq!(returns, [200.0, 100.0]);
-        assert_eq!(search.best(&evaluated).unwrap().point, points[1]);
+        assert_eq!(search.recommend(&evaluated).unwrap().point, points[1]);
     }
 
     #[test]
