@@ -1,10 +1,7 @@
 use std::borrow::Cow;
 
-use super::bayrn_settings::{
-    AcquisitionKind, BayRnSettings, IncumbentRule, InitialDesign, NoiseModel,
-};
+use super::bayrn_settings::{AcquisitionKind, BayRnSettings, IncumbentRule, NoiseModel};
 use super::observation::{check, next_indices};
-use super::random::{quasi_random_point, uniform_point};
 use super::{Observation, Recommendation, SearchBox, SearchError, Strategy};
 use crate::surrogate::{
     Acquisition, Criterion, Dataset, FitSettings, GaussianProcess, LogExpectedImprovement,
@@ -101,10 +98,7 @@ impl BayRn {
     }
 
     fn initial_point(&self, index: usize) -> Vec<f64> {
-        match self.settings.initial_design {
-            InitialDesign::Uniform => uniform_point(&self.search_box, self.seed, index),
-            InitialDesign::Sobol => quasi_random_point(&self.search_box, self.seed, index),
-        }
+        self.settings.initial_design.point(&self.search_box, self.seed, index)
     }
 
     /// The next point by the acquisition function while other points are pending; `index` is its

@@ -80,7 +80,7 @@ impl Default for BayRnSettings {
     }
 }
 
-/// The sampling of the initial points.
+/// The sampling of points that no return informs, such as the initial points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum InitialDesign {

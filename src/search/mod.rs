@@ -42,6 +42,6 @@ pub use cmaes::CmaEs;
 pub use cross_entropy::CrossEntropy;
 pub use error::SearchError;
 pub use observation::Observation;
-pub use random::{RandomSearch, SobolSearch};
+pub use random::PointSequence;
 pub use strategy::{Recommendation, Strategy};
 pub use strategy_kind::StrategyKind;

@@ -2,25 +2,28 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::observation::{check, highest_mean_return, next_indices};
-use super::{Observation, Recommendation, SearchBox, SearchError, Strategy};
+use super::{InitialDesign, Observation, Recommendation, SearchBox, SearchError, Strategy};
 use crate::surrogate::sobol_point;
 
-/// Uniform random search, with which every other strategy is compared.
+/// A search that proposes the points of a fixed sequence, whatever their returns: uniformly random
+/// points, with which every other strategy is compared, or a Sobol sequence, which covers the box
+/// more evenly.
 #[derive(Clone, Debug)]
-pub struct RandomSearch {
+pub struct PointSequence {
     search_box: SearchBox,
+    design: InitialDesign,
     seed: u64,
 }
 
-impl RandomSearch {
-    /// A search in a box with a seed.
+impl PointSequence {
+    /// The sequence of a design in a box with a seed.
     #[must_use]
-    pub fn new(search_box: SearchBox, seed: u64) -> Self {
-        Self { search_box, seed }
+    pub fn new(search_box: SearchBox, design: InitialDesign, seed: u64) -> Self {
+        Self { search_box, design, seed }
     }
 }
 
-impl Strategy for RandomSearch {
+impl Strategy for PointSequence {
     fn propose(
         &self,
         data: &[Observation],
@@ -28,7 +31,7 @@ impl Strategy for RandomSearch {
         count: usize,
     ) -> Result<Vec<Vec<f64>>, SearchError> {
         let next = next_indices(&self.search_box, data, pending, count)?;
-        Ok(next.map(|index| uniform_point(&self.search_box, self.seed, index)).collect())
+        Ok(next.map(|index| self.design.point(&self.search_box, self.seed, index)).collect())
     }
 
     fn recommend(&self, data: &[Observation]) -> Result<Recommendation, SearchError> {
@@ -36,47 +39,26 @@ impl Strategy for RandomSearch {
     }
 }
 
-/// Search along a scrambled Sobol sequence, which covers the box more evenly than random points.
-#[derive(Clone, Debug)]
-pub struct SobolSearch {
-    search_box: SearchBox,
-    seed: u64,
-}
-
-impl SobolSearch {
-    /// A search in a box, scrambled by a seed.
-    #[must_use]
-    pub fn new(search_box: SearchBox, seed: u64) -> Self {
-        Self { search_box, seed }
-    }
-}
-
-impl Strategy for SobolSearch {
-    fn propose(
-        &self,
-        data: &[Observation],
-        pending: &[Vec<f64>],
-        count: usize,
-    ) -> Result<Vec<Vec<f64>>, SearchError> {
-        let next = next_indices(&self.search_box, data, pending, count)?;
-        Ok(next.map(|index| quasi_random_point(&self.search_box, self.seed, index)).collect())
-    }
-
-    fn recommend(&self, data: &[Observation]) -> Result<Recommendation, SearchError> {
-        best_evaluated(&self.search_box, data)
+impl InitialDesign {
+    /// The point with this index in the design's sequence.
+    pub(super) fn point(self, search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
+        match self {
+            Self::Uniform => uniform_point(search_box, seed, index),
+            Self::Sobol => quasi_random_point(search_box, seed, index),
+        }
     }
 }
 
 /// The point with this index in a uniform random sequence. Each point has its own random stream and
 /// depends on seed and index alone.
-pub(super) fn uniform_point(search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
+fn uniform_point(search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
     let mut random = stream(seed, index);
     let unit: Vec<f64> = (0..search_box.dimensions()).map(|_| random.random()).collect();
     search_box.from_unit(&unit)
 }
 
 /// The point with this index in a scrambled Sobol sequence; the seed determines the scrambling.
-pub(super) fn quasi_random_point(search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
+fn quasi_random_point(search_box: &SearchBox, seed: u64, index: usize) -> Vec<f64> {
     let scramble: u32 = stream(seed, usize::MAX).random();
     search_box.from_unit(&sobol_point(index, search_box.dimensions(), scramble))
 }

@@ -4,8 +4,8 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BayRn, BayRnSettings, CmaEs, CrossEntropy, RandomSearch, SearchBox, SearchError, SobolSearch,
-    Strategy,
+    BayRn, BayRnSettings, CmaEs, CrossEntropy, InitialDesign, PointSequence, SearchBox,
+    SearchError, Strategy,
 };
 
 /// The available strategies.
@@ -58,8 +58,8 @@ impl StrategyKind {
             Self::BayRn => Box::new(BayRn::new(search_box, settings.clone(), seed)?),
             Self::Cem => Box::new(CrossEntropy::new(search_box, seed)),
             Self::CmaEs => Box::new(CmaEs::new(search_box, seed)),
-            Self::Random => Box::new(RandomSearch::new(search_box, seed)),
-            Self::Sobol => Box::new(SobolSearch::new(search_box, seed)),
+            Self::Random => Box::new(PointSequence::new(search_box, InitialDesign::Uniform, seed)),
+            Self::Sobol => Box::new(PointSequence::new(search_box, InitialDesign::Sobol, seed)),
         })
     }
 }
