@@ -3,14 +3,13 @@ use std::fs;
 use std::io;
 use std::path::PathBuf;
 
-use safetensors::tensor::TensorView;
-use safetensors::{Dtype, SafeTensorError, SafeTensors};
-use thiserror::Error;
+use safetensors::{SafeTensorError, SafeTensors};
 
 use super::curve::TrainUpdate;
 use super::network::Network;
 use super::optimise::Learner;
 use super::state::TrainingState;
+use super::tensors::{Tensor, TensorDefect, f32s, f64s, pair, tensor_views, u64s};
 use super::{TrainError, TrainSettings};
 use crate::storage::{MachineDisk, checksum_of, read_bounded, write_whole};
 
@@ -134,33 +133,23 @@ fn networks<'a>(training: &'a TrainingState<'_>) -> [(&'static str, &'a Network)
 }
 
 fn to_bytes(training: &TrainingState<'_>) -> Result<Vec<u8>, SafeTensorError> {
-    let mut contents: Vec<(&str, Dtype, Vec<u8>)> = networks(training)
-        .into_iter()
-        .map(|(name, network)| {
-            let values = network.slices().into_iter().flatten();
-            (name, Dtype::F32, values.flat_map(|value| value.to_le_bytes()).collect())
-        })
-        .collect();
+    let of_network = |(name, network): (&'static str, &Network)| {
+        Tensor::of_f32s(name, network.slices().into_iter().flatten().copied())
+    };
+    let mut tensors: Vec<Tensor> = networks(training).into_iter().map(of_network).collect();
     let curve = training.curve.iter().flat_map(|update| update.to_array());
-    contents.push(("curve", Dtype::F64, curve.flat_map(f64::to_le_bytes).collect()));
-    let best = [training.best_return, training.best_score].into_iter().flat_map(f64::to_le_bytes);
-    contents.push(("best_return", Dtype::F64, best.collect()));
     let counters = [training.policy.moments.steps, training.value.moments.steps];
-    let counters = counters.into_iter().flat_map(u64::to_le_bytes).collect();
-    contents.push(("counters", Dtype::U64, counters));
+    tensors.push(Tensor::of_f64s("curve", curve));
+    tensors.push(Tensor::of_f64s("best_return", [training.best_return, training.best_score]));
+    tensors.push(Tensor::of_u64s("counters", counters));
 
-    let checksum = checksum(contents.iter().map(|(name, _, bytes)| (*name, bytes.as_slice())));
-    let views = contents.iter().map(|(name, dtype, bytes)| {
-        let count = bytes.len() * 8 / dtype.bitsize();
-        TensorView::new(*dtype, vec![count], bytes).map(|view| (*name, view))
-    });
-    let views: Vec<_> = views.collect::<Result<_, _>>()?;
+    let checksum = checksum(tensors.iter().map(|it| (it.name, it.bytes.as_slice())));
     let metadata: HashMap<String, String> = identity(training)
         .into_iter()
         .chain([(CHECKSUM, checksum)])
         .map(|(name, value)| (name.to_owned(), value))
         .collect();
-    safetensors::serialize(views, Some(metadata))
+    safetensors::serialize(tensor_views(&tensors)?, Some(metadata))
 }
 
 /// The checksum of named tensors, whatever their order.
@@ -171,41 +160,17 @@ fn checksum<'a>(tensors: impl Iterator<Item = (&'a str, &'a [u8])>) -> String {
     checksum_of(checksums.concat().as_bytes())
 }
 
-/// A defect of a checkpoint's tensors.
-#[derive(Debug, Error)]
-enum TensorDefect {
-    #[error(transparent)]
-    Missing(#[from] SafeTensorError),
-    #[error("{name} is of type {dtype:?}")]
-    Type { name: String, dtype: Dtype },
-    #[error("{name} has {values} values instead of {expected}")]
-    Count { name: String, values: usize, expected: usize },
-    #[error("best_return is not two numbers")]
-    BestReturn,
-    #[error("counters are not two numbers")]
-    Counters,
-}
-
 fn from_tensors(
     tensors: &SafeTensors<'_>,
     training: &mut TrainingState<'_>,
 ) -> Result<(), TensorDefect> {
-    let bytes = |name: &str, dtype: Dtype| {
-        let tensor = tensors.tensor(name)?;
-        if tensor.dtype() == dtype {
-            Ok(tensor.data())
-        } else {
-            Err(TensorDefect::Type { name: name.to_owned(), dtype: tensor.dtype() })
-        }
-    };
     let network = |name: &str, network: &mut Network| {
-        let (values, _) = bytes(name, Dtype::F32)?.as_chunks::<4>();
+        let mut values = f32s(tensors, name)?;
         let expected: usize = network.slices().iter().map(|slice| slice.len()).sum();
         if values.len() != expected {
             let (name, values) = (name.to_owned(), values.len());
             return Err(TensorDefect::Count { name, values, expected });
         }
-        let mut values = values.iter().map(|bytes| f32::from_le_bytes(*bytes));
         for slice in network.slices_mut() {
             slice.fill_with(|| values.next().unwrap_or_default());
         }
@@ -220,25 +185,12 @@ fn from_tensors(
     learner("value", &mut training.value)?;
     network("best", &mut training.best)?;
 
-    let numbers = |name: &str| {
-        let (numbers, _) = bytes(name, Dtype::F64)?.as_chunks::<8>();
-        Ok::<_, TensorDefect>(
-            numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect::<Vec<_>>(),
-        )
-    };
-    let [best_return, best_score] = numbers("best_return")?[..] else {
-        return Err(TensorDefect::BestReturn);
-    };
-    (training.best_return, training.best_score) = (best_return, best_score);
-    let curve = numbers("curve")?;
+    [training.best_return, training.best_score] =
+        pair("best_return", f64s(tensors, "best_return")?)?;
+    let curve = f64s(tensors, "curve")?;
     training.curve = curve.as_chunks().0.iter().map(TrainUpdate::from_array).collect();
-    let (counters, _) = bytes("counters", Dtype::U64)?.as_chunks::<8>();
-    let counters: Vec<u64> = counters.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect();
-    let [policy_steps, value_steps] = counters[..] else {
-        return Err(TensorDefect::Counters);
-    };
-    training.policy.moments.steps = policy_steps;
-    training.value.moments.steps = value_steps;
+    [training.policy.moments.steps, training.value.moments.steps] =
+        pair("counters", u64s(tensors, "counters")?)?;
     Ok(())
 }
 

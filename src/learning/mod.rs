@@ -40,6 +40,7 @@ mod settings;
 mod smoothness;
 mod staged;
 mod state;
+mod tensors;
 #[cfg(test)]
 mod tests;
 mod train;
@@ -58,6 +59,7 @@ pub use physics_inputs::PhysicsInputs;
 pub use preset::Preset;
 pub use settings::TrainSettings;
 pub use staged::StagedTraining;
+pub use tensors::TensorDefect;
 pub use train::{train, train_from};
 pub use trained::{Origin, Trained, simulated_sensors};
 pub use trained_file::TrainedBytesError;

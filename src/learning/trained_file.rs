@@ -1,39 +1,45 @@
 //! The result of a training as bytes, which one computer sends to another.
 
-use safetensors::tensor::TensorView;
-use safetensors::{Dtype, SafeTensors};
+use safetensors::SafeTensors;
 use thiserror::Error;
 
 use super::curve::TrainUpdate;
+use super::tensors::{Tensor, TensorDefect, f32s, f64s, pair, tensor_views, u64s};
 use super::{TrainSettings, Trained};
-use crate::policy::{LayerWeights, Network};
+use crate::policy::{LayerWeights, Network, NetworkError};
 use crate::simulation::DomainDistribution;
 
 /// The reason why bytes are not the result of a training.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error("not the result of a training: {0}")]
-pub struct TrainedBytesError(String);
+#[derive(Debug, Error)]
+pub enum TrainedBytesError {
+    /// The bytes are not the tensors of a result.
+    #[error("not the result of a training: {0}")]
+    Tensors(#[from] TensorDefect),
+    /// The numbers of a tensor form no network.
+    #[error("not the result of a training: {name}: {why}")]
+    Network {
+        /// Name of the tensor.
+        name: &'static str,
+        /// Reason why they do not.
+        why: NetworkError,
+    },
+}
 
 impl Trained {
     /// The result as safetensors, without the distribution, the seed and the settings, which the
     /// reader knows.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
-        let returns = [self.best_return, self.final_return].into_iter();
         let curve = self.curve.iter().flat_map(|update| update.to_array());
         let tensors = [
-            ("network", Dtype::F32, weights(&self.network)),
-            ("final_network", Dtype::F32, weights(&self.final_network)),
-            ("sizes", Dtype::U64, sizes(&self.network)),
-            ("final_sizes", Dtype::U64, sizes(&self.final_network)),
-            ("returns", Dtype::F64, returns.flat_map(f64::to_le_bytes).collect()),
-            ("curve", Dtype::F64, curve.flat_map(f64::to_le_bytes).collect()),
+            Tensor::of_f32s("network", weights(&self.network)),
+            Tensor::of_f32s("final_network", weights(&self.final_network)),
+            Tensor::of_u64s("sizes", sizes(&self.network)),
+            Tensor::of_u64s("final_sizes", sizes(&self.final_network)),
+            Tensor::of_f64s("returns", [self.best_return, self.final_return]),
+            Tensor::of_f64s("curve", curve),
         ];
-        let views = tensors.iter().map(|(name, dtype, bytes)| {
-            let count = bytes.len() * 8 / dtype.bitsize();
-            let view = TensorView::new(*dtype, vec![count], bytes);
-            (*name, view.expect("the shape of each tensor fits its bytes"))
-        });
+        let views = tensor_views(&tensors).expect("the shape of each tensor fits its bytes");
         safetensors::serialize(views, None).expect("the tensors have different names")
     }
 
@@ -49,16 +55,9 @@ impl Trained {
         settings: &TrainSettings,
         seed: u64,
     ) -> Result<Self, TrainedBytesError> {
-        let failed = |reason: String| TrainedBytesError(reason);
-        let tensors = SafeTensors::deserialize(bytes).map_err(|error| failed(error.to_string()))?;
-        let numbers = |name: &str| -> Result<Vec<f64>, TrainedBytesError> {
-            let (numbers, _) = data(&tensors, name, Dtype::F64)?.as_chunks::<8>();
-            Ok(numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect())
-        };
-        let [best_return, final_return] = numbers("returns")?[..] else {
-            return Err(failed("returns are not two numbers".to_owned()));
-        };
-        let curve = numbers("curve")?;
+        let tensors = SafeTensors::deserialize(bytes).map_err(TensorDefect::from)?;
+        let [best_return, final_return] = pair("returns", f64s(&tensors, "returns")?)?;
+        let curve = f64s(&tensors, "curve")?;
         Ok(Self {
             network: network(&tensors, "network", "sizes")?,
             best_return,
@@ -74,42 +73,23 @@ impl Trained {
     }
 }
 
-/// The numbers of a network as little-endian `f32`: the action scale, V, then each layer's weights
-/// and biases.
-fn weights(network: &Network) -> Vec<u8> {
-    let layers = network.layers();
-    let values = layers.iter().flat_map(|layer| layer.weight.iter().chain(&layer.bias));
-    std::iter::once(&network.action_scale_v())
-        .chain(values)
-        .flat_map(|it| it.to_le_bytes())
-        .collect()
+/// The numbers of a network: the action scale, V, then each layer's weights and biases.
+fn weights(network: &Network) -> impl Iterator<Item = f32> {
+    let values = network.layers().into_iter().flat_map(|it| it.weight.into_iter().chain(it.bias));
+    std::iter::once(network.action_scale_v()).chain(values)
 }
 
-fn sizes(network: &Network) -> Vec<u8> {
-    network.sizes().iter().flat_map(|size| (*size as u64).to_le_bytes()).collect()
-}
-
-fn data<'a>(
-    tensors: &'a SafeTensors<'_>,
-    name: &str,
-    dtype: Dtype,
-) -> Result<&'a [u8], TrainedBytesError> {
-    match tensors.tensor(name) {
-        Ok(tensor) if tensor.dtype() == dtype => Ok(tensor.data()),
-        Ok(tensor) => Err(TrainedBytesError(format!("{name} is of type {:?}", tensor.dtype()))),
-        Err(error) => Err(TrainedBytesError(error.to_string())),
-    }
+fn sizes(network: &Network) -> impl Iterator<Item = u64> {
+    network.sizes().iter().map(|size| *size as u64)
 }
 
 fn network(
     tensors: &SafeTensors<'_>,
-    name: &str,
+    name: &'static str,
     sizes: &str,
 ) -> Result<Network, TrainedBytesError> {
-    let (sizes, _) = data(tensors, sizes, Dtype::U64)?.as_chunks::<8>();
-    let sizes: Vec<usize> = sizes.iter().map(|it| u64::from_le_bytes(*it) as usize).collect();
-    let (values, _) = data(tensors, name, Dtype::F32)?.as_chunks::<4>();
-    let mut values = values.iter().map(|bytes| f32::from_le_bytes(*bytes));
+    let sizes: Vec<usize> = u64s(tensors, sizes)?.into_iter().map(|size| size as usize).collect();
+    let mut values = f32s(tensors, name)?;
     let action_scale_v = values.next().unwrap_or(f32::NAN);
     let mut take =
         |count: Option<usize>| -> Vec<f32> { values.by_ref().take(count.unwrap_or(0)).collect() };
@@ -121,7 +101,7 @@ fn network(
         })
         .collect();
     Network::new(&sizes, &layers, action_scale_v)
-        .map_err(|error| TrainedBytesError(format!("{name}: {error}")))
+        .map_err(|why| TrainedBytesError::Network { name, why })
 }
 
 #[cfg(test)]
