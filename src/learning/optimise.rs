@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use super::TrainSettings;
 use super::collect::Batch;
 use super::kernels::{
-    AdamStep, Gradient, Head, Minibatch, Moments, PolicyHead, ValueHead, Workspace,
+    AdamSettings, AdamStep, Gradient, Head, Minibatch, Moments, PolicyHead, ValueHead, Workspace,
 };
 use super::network::{LOG_STD, Network, WIDTH};
 use super::random::Stream;
@@ -145,7 +145,7 @@ fn for_each_minibatch(
 pub(super) struct PolicyImprovement<'a> {
     policy: &'a mut Learner,
     head: PolicyHead,
-    settings: StepSettings,
+    adam: AdamSettings,
     smallest_log_std: f32,
     /// Sums over the steps so far; only `largest_kl` is a maximum.
     progress: PolicyProgress,
@@ -160,7 +160,7 @@ impl<'a> PolicyImprovement<'a> {
                 entropy_weight: settings.entropy_weight,
                 kl_weight: settings.kl_weight,
             },
-            settings: StepSettings::new(settings, update),
+            adam: adam_settings(settings, update),
             smallest_log_std: settings.smallest_log_std,
             progress: PolicyProgress::default(),
         }
@@ -169,7 +169,7 @@ impl<'a> PolicyImprovement<'a> {
     /// Takes one gradient step, then keeps the log standard deviation at or above its smallest
     /// value.
     pub fn step(&mut self, minibatch: &Minibatch) {
-        let statistics = self.policy.step(minibatch, &self.head, &self.settings);
+        let statistics = self.policy.step(minibatch, &self.head, &self.adam);
         let log_std = &mut self.policy.network.tail[LOG_STD];
         *log_std = log_std.max(self.smallest_log_std);
 
@@ -194,17 +194,17 @@ impl<'a> PolicyImprovement<'a> {
 /// A fit of the value network to the returns, one minibatch at a time.
 pub(super) struct ValueFit<'a> {
     value: &'a mut Learner,
-    settings: StepSettings,
+    adam: AdamSettings,
 }
 
 impl<'a> ValueFit<'a> {
     pub fn new(value: &'a mut Learner, settings: &TrainSettings, update: u32) -> Self {
-        Self { value, settings: StepSettings::new(settings, update) }
+        Self { value, adam: adam_settings(settings, update) }
     }
 
     /// Takes one gradient step.
     pub fn step(&mut self, minibatch: &Minibatch) {
-        self.value.step(minibatch, &ValueHead, &self.settings);
+        self.value.step(minibatch, &ValueHead, &self.adam);
     }
 }
 
@@ -237,7 +237,7 @@ impl Learner {
         &mut self,
         minibatch: &Minibatch,
         head: &H,
-        settings: &StepSettings,
+        settings: &AdamSettings,
     ) -> H::Statistics {
         let gradient = Gradient {
             network: &self.network,
@@ -251,40 +251,22 @@ impl Learner {
             network: &mut self.network,
             gradient: &self.gradient,
             moments: &mut self.moments,
-            learning_rate: settings.learning_rate,
-            beta_1: settings.beta_1,
-            beta_2: settings.beta_2,
-            epsilon: settings.adam_epsilon,
-            epsilon_beside_root: settings.adam_epsilon_beside_root,
-            largest_norm: settings.largest_gradient_norm,
+            settings,
         };
         dispatch_at(self.level, step);
         statistics
     }
 }
 
-/// The settings of a gradient step that all minibatches of an update share.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct StepSettings {
-    pub learning_rate: f32,
-    pub beta_1: f32,
-    pub beta_2: f32,
-    pub adam_epsilon: f32,
-    pub adam_epsilon_beside_root: bool,
-    pub largest_gradient_norm: f32,
-}
-
-impl StepSettings {
-    /// The settings for this update; only the learning rate depends on its number.
-    fn new(settings: &TrainSettings, update: u32) -> Self {
-        Self {
-            learning_rate: settings.learning_rate_at(update),
-            beta_1: settings.adam_beta_1,
-            beta_2: settings.adam_beta_2,
-            adam_epsilon: settings.adam_epsilon,
-            adam_epsilon_beside_root: settings.adam_epsilon_beside_root,
-            largest_gradient_norm: settings.largest_gradient_norm,
-        }
+/// Adam's settings for this update; only the learning rate depends on its number.
+fn adam_settings(settings: &TrainSettings, update: u32) -> AdamSettings {
+    AdamSettings {
+        learning_rate: settings.learning_rate_at(update),
+        beta_1: settings.adam_beta_1,
+        beta_2: settings.adam_beta_2,
+        epsilon: settings.adam_epsilon,
+        epsilon_beside_root: settings.adam_epsilon_beside_root,
+        largest_norm: settings.largest_gradient_norm,
     }
 }
 

@@ -23,17 +23,9 @@ impl Moments {
     }
 }
 
-/// A kernel that takes one step of Adam down a gradient, which is first scaled down to a largest
-/// norm. The kernel returns the norm before scaling.
-///
-/// Unless `epsilon_beside_root` is set, epsilon is under the square root, m / sqrt(v + epsilon^2),
-/// whereas the paper adds it to the root, m / (sqrt(v) + epsilon). The two forms agree where one of
-/// the terms dominates; in between, the step of the first is at most 1.41 times as long. The first
-/// form needs one inverse square root instead of a root and a division, which are slow.
-pub(in crate::learning) struct AdamStep<'a> {
-    pub network: &'a mut Network,
-    pub gradient: &'a Network,
-    pub moments: &'a mut Moments,
+/// The settings of Adam.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::learning) struct AdamSettings {
     pub learning_rate: f32,
     /// Decay of the first moment.
     pub beta_1: f32,
@@ -48,28 +40,47 @@ pub(in crate::learning) struct AdamStep<'a> {
     pub largest_norm: f32,
 }
 
+/// A kernel that takes one step of Adam down a gradient, which is first scaled down to a largest
+/// norm. The kernel returns the norm before scaling.
+///
+/// Unless [`AdamSettings::epsilon_beside_root`] is set, epsilon is under the square root,
+/// m / sqrt(v + epsilon^2), whereas the paper adds it to the root, m / (sqrt(v) + epsilon). The two
+/// forms agree where one of the terms dominates; in between, the step of the first is at most 1.41
+/// times as long. The first form needs one inverse square root instead of a root and a division,
+/// which are slow.
+pub(in crate::learning) struct AdamStep<'a> {
+    pub network: &'a mut Network,
+    pub gradient: &'a Network,
+    pub moments: &'a mut Moments,
+    pub settings: &'a AdamSettings,
+}
+
 impl VectorKernel for AdamStep<'_> {
     type Output = f32;
 
     #[inline(always)]
     fn run<I: InstructionSet>(self) -> f32 {
-        if self.epsilon_beside_root { self.take::<I, true>() } else { self.take::<I, false>() }
+        if self.settings.epsilon_beside_root {
+            self.take::<I, true>()
+        } else {
+            self.take::<I, false>()
+        }
     }
 }
 
 impl AdamStep<'_> {
     #[inline(always)]
     fn take<I: InstructionSet, const BESIDE_ROOT: bool>(self) -> f32 {
+        let AdamSettings { learning_rate, beta_1, beta_2, epsilon, largest_norm, .. } =
+            *self.settings;
         let norm = norm::<I>(self.gradient);
-        let scale = if norm > self.largest_norm { self.largest_norm / norm } else { 1.0 };
+        let scale = if norm > largest_norm { largest_norm / norm } else { 1.0 };
 
-        let (beta_1, beta_2) = (self.beta_1, self.beta_2);
         self.moments.steps += 1;
         let steps = self.moments.steps;
-        let step_size = f64::from(self.learning_rate) / bias_correction(beta_1, steps);
+        let step_size = f64::from(learning_rate) / bias_correction(beta_1, steps);
         let step_size = step_size as f32;
         let correction = (1.0 / bias_correction(beta_2, steps)) as f32;
-        let epsilon = self.epsilon;
         let under_root = if BESIDE_ROOT { 0.0 } else { epsilon * epsilon };
         let new_first = scale * (1.0 - beta_1);
         let new_second = scale * (1.0 - beta_2).sqrt();

@@ -20,7 +20,7 @@ mod sum;
 mod tests;
 mod transpose;
 
-pub(super) use adam::{AdamStep, Moments};
+pub(super) use adam::{AdamSettings, AdamStep, Moments};
 pub(super) use backward::{Gradient, Workspace};
 pub(super) use forward::Forward;
 pub(super) use head::{Head, Minibatch, PolicyHead, ValueHead, gaussian_log_probability};

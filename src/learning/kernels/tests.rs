@@ -206,29 +206,21 @@ fn trained_at(level: Level, size: usize) -> (Network, Vec<f32>) {
                 gradient: &mut gradient,
             },
         );
-        dispatch_at(level, adam_step(&mut network, &gradient, &mut moments))
+        let (network, moments) = (&mut network, &mut moments);
+        dispatch_at(level, AdamStep { network, gradient: &gradient, moments, settings: &ADAM })
     });
     let norms = norms.collect();
     (network, norms)
 }
 
-fn adam_step<'a>(
-    network: &'a mut Network,
-    gradient: &'a Network,
-    moments: &'a mut Moments,
-) -> AdamStep<'a> {
-    AdamStep {
-        network,
-        gradient,
-        moments,
-        learning_rate: 1e-3,
-        beta_1: 0.9,
-        beta_2: 0.999,
-        epsilon: 1e-5,
-        epsilon_beside_root: false,
-        largest_norm: 0.5,
-    }
-}
+const ADAM: AdamSettings = AdamSettings {
+    learning_rate: 1e-3,
+    beta_1: 0.9,
+    beta_2: 0.999,
+    epsilon: 1e-5,
+    epsilon_beside_root: false,
+    largest_norm: 0.5,
+};
 
 #[test]
 fn avx512_and_avx2_give_the_same_bits() {
@@ -272,8 +264,12 @@ fn adam_follows_its_formulas(epsilon: f32, epsilon_beside_root: bool) {
     {
         gradient.second[3][5] = g;
         gradient.tail[LOG_STD] = h;
-        let step_of = adam_step(&mut network, &gradient, &mut moments);
-        let step_of = AdamStep { epsilon, epsilon_beside_root, ..step_of };
+        let step_of = AdamStep {
+            network: &mut network,
+            gradient: &gradient,
+            moments: &mut moments,
+            settings: &AdamSettings { epsilon, epsilon_beside_root, ..ADAM },
+        };
         let norm = dispatch_at(Level::best(), step_of);
         let expected = f64::from(g * g + h * h).sqrt();
         assert!((f64::from(norm) - expected).abs() < 1e-6);
