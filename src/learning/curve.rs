@@ -1,6 +1,10 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::collect::Batch;
+use super::transition::Transition;
+use crate::qube::MAX_STEPS;
+
 /// The statistics of one update: a point of the learning curve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrainUpdate {
@@ -170,6 +174,22 @@ pub fn parse_curve_csv(text: &str) -> Result<Vec<CurvePoint>, CurveError> {
             Ok(CurvePoint { steps, mean_return })
         })
         .collect()
+}
+
+/// The mean reward of a batch times 600.
+pub(super) fn training_return(batch: &Batch) -> f64 {
+    let rewards: f64 = batch.transitions.iter().map(|t| f64::from(t.reward)).sum();
+    rewards / batch.transitions.len() as f64 * MAX_STEPS as f64
+}
+
+/// The explained variance of the values of these transitions: 1 - variance of (return - value) /
+/// variance of return.
+pub(super) fn explained_variance(transitions: &[Transition]) -> f64 {
+    let variance = |of: fn(&Transition) -> f64| {
+        let mean = transitions.iter().map(of).sum::<f64>() / transitions.len() as f64;
+        transitions.iter().map(|t| (of(t) - mean) * (of(t) - mean)).sum::<f64>()
+    };
+    1.0 - variance(|t| f64::from(t.return_ - t.value)) / variance(|t| f64::from(t.return_))
 }
 
 #[cfg(test)]

@@ -1,7 +1,13 @@
+use super::actor::NetworkActor;
+use super::smoothness::SmoothnessFactor;
+use super::state::TrainingState;
 use crate::policy::Network;
 use crate::simulation::{
-    DomainDistribution, Evaluation, Observations, SimulationSettings, evaluate,
+    DomainDistribution, Evaluation, Observations, SimulationSettings, evaluate, evaluate_with,
 };
+
+/// Seed of the fixed starts and Qubes on which every policy is evaluated during training.
+pub(super) const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
 
 /// Evaluates a policy in the form in which it is deployed, from `starts` starts that its training
 /// has not seen. The evaluations during training overestimate the best policy, so a published
@@ -27,4 +33,43 @@ pub fn evaluate_on_new_starts(
         }
     };
     evaluate(&mut actor, distribution, simulation, seed, starts)
+}
+
+/// An evaluation during training, with the score by which the best network is chosen.
+pub(super) struct Scored {
+    pub evaluation: Evaluation,
+    /// Mean return, with the full weight on voltage changes if that weight is above 0.
+    pub score: f64,
+}
+
+impl TrainingState<'_> {
+    /// Runs the policy without exploration from the fixed starts.
+    pub fn evaluate(&self) -> Scored {
+        let starts = usize::from(self.settings.evaluation_starts);
+        let weight = self.settings.voltage_change_weight;
+        let plant = &self.settings.simulation.plant;
+        let mut smoothness =
+            vec![SmoothnessFactor::limited_to(plant.limits.largest_voltage_v as f32); starts];
+        let mut smooth_return = 0.0;
+        let network = &self.policy.network;
+        let evaluation = evaluate_with(
+            &mut NetworkActor::on_starts(
+                network,
+                self.physics,
+                &self.distribution,
+                EVALUATION_SEED,
+                starts,
+            ),
+            &self.distribution,
+            &self.settings.simulation,
+            EVALUATION_SEED,
+            starts,
+            |start, reward, voltage_v| {
+                smooth_return += f64::from(reward * smoothness[start].factor(voltage_v, weight));
+            },
+        );
+        let score =
+            if weight > 0.0 { smooth_return / starts as f64 } else { evaluation.mean_return() };
+        Scored { evaluation, score }
+    }
 }

@@ -1,23 +1,18 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::actor::NetworkActor;
 use super::checkpoint::Checkpointing;
-use super::collect::{Batch, Collector};
-use super::curve::TrainUpdate;
+use super::collect::Collector;
+use super::curve::{TrainUpdate, explained_variance, training_return};
+use super::evaluation::Scored;
 use super::export::{exported, imported};
 use super::network::LOG_STD;
 use super::optimise::{Learner, optimise};
-use super::smoothness::SmoothnessFactor;
 use super::state::TrainingState;
 use super::trained::Trained;
-use super::transition::Transition;
 use super::worst::worst_of;
 use super::{TrainError, TrainSettings};
 use crate::policy;
-use crate::simulation::{DomainDistribution, Evaluation, evaluate_with};
-
-/// Seed of the fixed starts and Qubes on which every policy is evaluated during training.
-pub(super) const EVALUATION_SEED: u64 = 0x5174_6550_4f4c_4943;
+use crate::simulation::DomainDistribution;
 
 /// Trains one policy by PPO in simulations drawn from `distribution` (Eilers 2019, Algorithm 1).
 ///
@@ -103,13 +98,6 @@ pub(super) fn perform(
     Ok(())
 }
 
-/// An evaluation during training, with the score by which the best network is chosen.
-pub(super) struct Scored {
-    pub evaluation: Evaluation,
-    /// Mean return, with the full weight on voltage changes if that weight is above 0.
-    pub score: f64,
-}
-
 impl TrainingState<'_> {
     /// Performs one update of Algorithm 1 (Eilers 2019): collects, optimises, evaluates. Returns
     /// `None` if an update after the first diverged: both networks and their moments are then as
@@ -184,36 +172,6 @@ impl TrainingState<'_> {
         }
     }
 
-    /// Runs the policy without exploration from the fixed starts.
-    pub fn evaluate(&self) -> Scored {
-        let starts = usize::from(self.settings.evaluation_starts);
-        let weight = self.settings.voltage_change_weight;
-        let plant = &self.settings.simulation.plant;
-        let mut smoothness =
-            vec![SmoothnessFactor::limited_to(plant.limits.largest_voltage_v as f32); starts];
-        let mut smooth_return = 0.0;
-        let network = &self.policy.network;
-        let evaluation = evaluate_with(
-            &mut NetworkActor::on_starts(
-                network,
-                self.physics,
-                &self.distribution,
-                EVALUATION_SEED,
-                starts,
-            ),
-            &self.distribution,
-            &self.settings.simulation,
-            EVALUATION_SEED,
-            starts,
-            |start, reward, voltage_v| {
-                smooth_return += f64::from(reward * smoothness[start].factor(voltage_v, weight));
-            },
-        );
-        let score =
-            if weight > 0.0 { smooth_return / starts as f64 } else { evaluation.mean_return() };
-        Scored { evaluation, score }
-    }
-
     /// Continues the training in another distribution. The present policy becomes the best network,
     /// until an update finds a better one in the new distribution.
     pub fn begin_stage(&mut self, distribution: DomainDistribution) {
@@ -246,17 +204,4 @@ impl TrainingState<'_> {
             curve: self.curve.clone(),
         })
     }
-}
-
-fn training_return(batch: &Batch) -> f64 {
-    let rewards: f64 = batch.transitions.iter().map(|t| f64::from(t.reward)).sum();
-    rewards / batch.transitions.len() as f64 * crate::qube::MAX_STEPS as f64
-}
-
-fn explained_variance(transitions: &[Transition]) -> f64 {
-    let variance = |of: fn(&Transition) -> f64| {
-        let mean = transitions.iter().map(of).sum::<f64>() / transitions.len() as f64;
-        transitions.iter().map(|t| (of(t) - mean) * (of(t) - mean)).sum::<f64>()
-    };
-    1.0 - variance(|t| f64::from(t.return_ - t.value)) / variance(|t| f64::from(t.return_))
 }

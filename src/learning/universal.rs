@@ -120,9 +120,9 @@ fn at_fixed(network: &Network, observation_size: usize, physics: &[f32]) -> Netw
 mod tests {
     use super::*;
     use crate::learning::actor::outputs;
+    use crate::learning::evaluation::EVALUATION_SEED;
     use crate::learning::random::Stream;
     use crate::learning::tests::small;
-    use crate::learning::train::EVALUATION_SEED;
     use crate::qube::{DomainParameter, QubeModel};
 
     const OBSERVATION: [f32; 8] = [0.5, -0.3, 0.9, 0.1, -0.7, 0.4, 0.2, -0.9];
