@@ -23,9 +23,7 @@ pub(super) struct Batch {
     /// Inputs of the networks that an [`Observation`] does not hold, at each transition; empty if
     /// the networks have none.
     pub extra_inputs: Vec<ExtraInputs>,
-    /// Number of trajectories begun.
-    pub trajectories: u32,
-    /// The ends of the trajectories, in order of their indices.
+    /// The end of each trajectory, in order of their indices.
     pub ends: Vec<TrajectoryEnd>,
 }
 
@@ -61,7 +59,6 @@ impl Collector<'_> {
             });
             std::iter::once(first).chain(rest).collect()
         });
-        let trajectories = parts.iter().map(|part| part.trajectories).sum();
         let (mut ends, mut first) = (Vec::new(), 0);
         for part in &parts {
             let shifted = |own: &TrajectoryEnd| TrajectoryEnd { last: first + own.last, ..*own };
@@ -74,7 +71,7 @@ impl Collector<'_> {
             transitions.extend(more);
             extra_inputs.extend(more_inputs);
         }
-        Batch { transitions, extra_inputs, trajectories, ends }
+        Batch { transitions, extra_inputs, ends }
     }
 
     fn collect_lanes(&self, lanes: Range<usize>) -> Batch {
@@ -149,8 +146,7 @@ impl Collector<'_> {
             }
         }
         self.estimate_values(&mut transitions, &extra_inputs, &mut ends, &truncated);
-        let trajectories = explorers.iter().map(|explorer| u32::from(explorer.number) + 1).sum();
-        Batch { transitions, extra_inputs, trajectories, ends }
+        Batch { transitions, extra_inputs, ends }
     }
 
     /// Writes the physics inputs of a lane's Qube to their rows, `[input][lanes]`.

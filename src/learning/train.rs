@@ -145,7 +145,7 @@ impl TrainingState<'_> {
             mean_return,
             worst_return: evaluation.returns.iter().copied().fold(f64::INFINITY, f64::min),
             training_return: training_return(&batch),
-            trajectories: batch.trajectories,
+            trajectories: batch.ends.len() as u32,
             approximate_kl: progress.approximate_kl,
             largest_kl: progress.largest_kl,
             clip_fraction: progress.clip_fraction,

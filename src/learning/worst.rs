@@ -36,7 +36,7 @@ pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
         extra_inputs.extend(batch.extra_inputs.get(first..=own.last).unwrap_or_default());
         ends.push(TrajectoryEnd { last: transitions.len() - 1, ..own });
     }
-    Batch { transitions, extra_inputs, trajectories: kept as u32, ends }
+    Batch { transitions, extra_inputs, ends }
 }
 
 #[cfg(test)]
@@ -53,7 +53,7 @@ mod tests {
             let last = transitions.len() - 1;
             ends.push(TrajectoryEnd { last, left_box, value_after: 0.0 });
         }
-        Batch { transitions, extra_inputs: Vec::new(), trajectories: ends.len() as u32, ends }
+        Batch { transitions, extra_inputs: Vec::new(), ends }
     }
 
     #[test]
