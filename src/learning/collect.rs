@@ -15,7 +15,9 @@ use super::transition::{
 };
 use crate::elementary::{dispatch, exp, normal_pair};
 use crate::qube::MAX_STEPS;
-use crate::simulation::{DomainDistribution, LaneStatus, Observations, Pendulums, Trajectory};
+use crate::simulation::{
+    DomainDistribution, LANES_MULTIPLE, LaneStatus, Observations, Pendulums, Trajectory,
+};
 
 /// The transitions of one update, one trajectory after the other, each in order of time.
 pub(super) struct Batch {
@@ -44,7 +46,7 @@ impl Collector<'_> {
     /// does not depend on the number of threads.
     pub fn collect(&self, threads: usize) -> Batch {
         let lanes = usize::from(self.settings.num_envs);
-        let share = lanes.div_ceil(threads.max(1)).next_multiple_of(16);
+        let share = lanes.div_ceil(threads.max(1)).next_multiple_of(LANES_MULTIPLE);
         let parts: Vec<Batch> = std::thread::scope(|scope| {
             let workers: Vec<_> = (share..lanes)
                 .step_by(share)

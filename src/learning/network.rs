@@ -1,4 +1,5 @@
 use crate::qube::{MAX_HISTORY, OBSERVATION_SIZE};
+use crate::simulation::LANES_MULTIPLE;
 
 /// Number of neurons of each hidden layer, and of samples in a full block; a minibatch is a full
 /// block.
@@ -20,8 +21,8 @@ const ROW_GROUP: usize = 4;
 pub(super) const MAX_INPUTS: usize =
     (1 + MAX_OBSERVATION_SIZE + MAX_PHYSICS_INPUTS).next_multiple_of(ROW_GROUP);
 
-/// Number of samples in a narrow block, for pendulums that do not fill a block of 64.
-pub(super) const NARROW: usize = 16;
+/// Number of samples in a narrow block, for simulated pendulums that do not fill a block of 64.
+pub(super) const NARROW: usize = LANES_MULTIPLE;
 
 /// A row across neurons or across the samples of a minibatch.
 pub(super) type Row = [f32; WIDTH];

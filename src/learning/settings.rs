@@ -5,7 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::TrainError;
 use crate::qube::MAX_STEPS;
-use crate::simulation::SimulationSettings;
+use crate::simulation::{LANES_MULTIPLE, SimulationSettings};
 
 /// The settings of a training. Their values are defined in the presets [`Self::thesis`],
 /// [`Self::quick`] and [`Self::robust`] alone.
@@ -129,9 +129,11 @@ impl TrainSettings {
             }
         }
         bounded("updates", self.updates, 1..=1_000_000, "1 to 1 000 000")?;
-        bounded("num_envs", self.num_envs, 16..=4096, "16 to 4096")?;
-        if !self.num_envs.is_multiple_of(16) {
-            bounded("num_envs", self.num_envs, 0..0, "a multiple of 16")?;
+        let envs = self.num_envs;
+        bounded("num_envs", envs, LANES_MULTIPLE as u16..=4096, "16 to 4096")?;
+        if !envs.is_multiple_of(LANES_MULTIPLE as u16) {
+            let bound = "a multiple of 16";
+            return Err(TrainError::Setting { name: "num_envs", value: envs.to_string(), bound });
         }
         bounded("epochs", self.epochs, 1..=1000, "1 to 1000")?;
         let rates = 0.0..=1.0;
