@@ -140,7 +140,7 @@ impl Experiment {
         let emulated = self.settings().plants[0].emulated;
         let settings = SessionSettings {
             name: format!("{} of {}", recipe.name, self.settings().name),
-            seed: derived_seed(self.settings().seed, SeedFor::Search),
+            seed: derived_seed(self.settings().seed, SeedFor::ExperimentPart),
             emulated,
             ..recipe.settings.clone()
         };

@@ -15,11 +15,16 @@ pub enum SeedFor {
         /// Number of the training among the trainings of this candidate or policy.
         training: u32,
     },
-    /// Simulations that score the policies of a candidate; in a method that learns a belief, the
-    /// draws of the belief after a number of recordings.
+    /// Simulations that score the policies of a candidate.
     Evaluation {
-        /// Number of the candidate or of the policy, or number of recordings.
+        /// Number of the candidate, or of the policy in an experiment.
         candidate: u32,
+    },
+    /// Belief that a method of an experiment learns from recordings. It has the streams of
+    /// [`Self::Evaluation`]: a method that learns a belief evaluates nothing under the same seed.
+    Belief {
+        /// Number of recordings from which the belief is learnt.
+        recordings: u32,
     },
     /// Simulations that estimate the return of a candidate's policy, other than those in which the
     /// policy was chosen.
@@ -38,7 +43,7 @@ pub enum SeedFor {
     },
     /// Part of an experiment with a seed of its own, such as a session, recordings or a belief. It
     /// shares no random numbers with the trainings and rollouts of the experiment's policies.
-    Search,
+    ExperimentPart,
     /// Factors that scale a plant to the Qube of one policy or repetition, where each has a Qube of
     /// its own.
     Qube {
@@ -84,9 +89,10 @@ fn stream(purpose: SeedFor) -> u64 {
     match purpose {
         SeedFor::Training { candidate, training } => number(2, candidate, training, 0),
         SeedFor::Evaluation { candidate } => number(7, candidate, 0, 0),
+        SeedFor::Belief { recordings } => number(7, recordings, 0, 0),
         SeedFor::Estimate { candidate } => number(10, candidate, 0, 0),
         SeedFor::Emulator { candidate, rollout, attempt } => number(3, candidate, rollout, attempt),
-        SeedFor::Search => number(4, 0, 0, 0),
+        SeedFor::ExperimentPart => number(4, 0, 0, 0),
         SeedFor::Qube { policy, plant } => number(5, policy, plant, 0),
         SeedFor::Repetition { plant, repetition } => number(6, repetition, plant, 0),
         SeedFor::RigSession { rig } => number(8, rig, 0, 0),
@@ -109,7 +115,7 @@ mod tests {
 
     #[test]
     fn purposes_do_not_share_a_stream() {
-        let mut purposes = vec![SeedFor::Search];
+        let mut purposes = vec![SeedFor::ExperimentPart];
         for candidate in 0..4 {
             purposes.push(SeedFor::Evaluation { candidate });
             purposes.push(SeedFor::Estimate { candidate });

@@ -69,7 +69,7 @@ impl<'a> MethodRecordings<'a> {
         let (run, experiment) = (self.run, self.run.experiment);
         let settings = &run.recipe.settings;
         // A separate seed, because scoring uses the run's own.
-        let seed = derived_seed(run.seed, SeedFor::Search);
+        let seed = derived_seed(run.seed, SeedFor::ExperimentPart);
         let (name, steps) = match kind {
             Recorded::Excitation(shape) => {
                 (format!("excitation by {}", shape.name()), EXCITATION_STEPS)

@@ -26,7 +26,7 @@ impl<'a> FromSearch<'a> {
         let settings = SessionSettings {
             name: format!("{} of {}", run.name, run.experiment.settings().name),
             // A separate seed, because scoring uses the run's own.
-            seed: derived_seed(run.seed, SeedFor::Search),
+            seed: derived_seed(run.seed, SeedFor::ExperimentPart),
             emulated: run.plant.emulated,
             strategy: kind,
             ..run.recipe.settings.clone()

@@ -47,8 +47,8 @@ impl<'a> FromRival<'a> {
     /// Seed of the belief and the recommendation after `recordings` recordings.
     fn seed(&self, recordings: u32) -> u64 {
         // A separate seed, because scoring uses the run's own.
-        let seed = derived_seed(self.run.seed, SeedFor::Search);
-        derived_seed(seed, SeedFor::Evaluation { candidate: recordings })
+        let seed = derived_seed(self.run.seed, SeedFor::ExperimentPart);
+        derived_seed(seed, SeedFor::Belief { recordings })
     }
 
     /// The recipe of the trainings.

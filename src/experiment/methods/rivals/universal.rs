@@ -51,7 +51,7 @@ impl<'a> FromUniversalPolicy<'a> {
         let mut recipe = self.run.without_identification().recipe;
         "so-cma".clone_into(&mut recipe.name);
         // A separate seed, because scoring uses the run's own.
-        let seed = derived_seed(self.run.seed, SeedFor::Search);
+        let seed = derived_seed(self.run.seed, SeedFor::ExperimentPart);
         let points = self.space.draws(POINTS, &mut random(seed, Draws::Points));
         let distribution = distribution_of(&self.space, &points);
         Recommendation { distribution, ..Recommendation::of(recipe, None) }
@@ -90,7 +90,7 @@ impl<'a> FromUniversalPolicy<'a> {
     fn search(&self) -> Result<CmaEs, SearchError> {
         let bounds = vec![REACH; self.space.dimensions()];
         let lower: Vec<f64> = bounds.iter().map(|bound| -bound).collect();
-        CmaEs::between(&lower, &bounds, derived_seed(self.run.seed, SeedFor::Search))
+        CmaEs::between(&lower, &bounds, derived_seed(self.run.seed, SeedFor::ExperimentPart))
     }
 
     /// The inputs of the next candidate.
