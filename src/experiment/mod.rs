@@ -47,7 +47,8 @@ pub use irreplaceable::is_irreplaceable;
 pub use made::Made;
 pub use methods::{
     ALL_PLANTS, Method, MethodResult, MethodResults, MethodSettings, RecommendationOutcome,
-    RecommendationResult, RecommendationScore, Repetition, RepetitionSeeds, RivalSettings,
+    RecommendationResult, RecommendationScore, Repetition, RepetitionId, RepetitionSeeds,
+    RivalSettings,
 };
 pub use opened::Experiment;
 pub use plant::Plant;

@@ -6,7 +6,7 @@ use super::methods::{Access, Followed, Trial};
 use super::queue::Queue;
 use super::search::{RecipePsi, found_psi, open_search, searched};
 use super::series::PolicySeries;
-use super::{Experiment, ExperimentError, Made, Method, Recipe};
+use super::{Experiment, ExperimentError, Made, Recipe, RepetitionId};
 use crate::learning::{CURVE_BYTES, parse_curve_csv};
 use crate::rig::Rig;
 use crate::session::{SeedFor, SessionEvent, SessionSettings, derived_seed};
@@ -30,12 +30,7 @@ enum WorkItem {
     /// Score one repetition of a method at the budgets.
     AtBudgets(Trial),
     /// Run one repetition of a method.
-    Repetition {
-        /// Method of the comparison.
-        method: Method,
-        /// Number of the repetition.
-        repetition: u32,
-    },
+    Repetition(RepetitionId),
 }
 
 /// The returns of each search: the search's name, and for each candidate the returns of its
@@ -76,8 +71,7 @@ impl Experiment {
                 let trials = methods.trials(self.settings().plants.len());
                 return trials.map(WorkItem::AtBudgets).collect();
             }
-            let of = |(method, repetition)| WorkItem::Repetition { method, repetition };
-            return methods.repetitions().map(of).collect();
+            return methods.repetitions().map(WorkItem::Repetition).collect();
         }
         let mut items = Vec::new();
         for (recipe, it) in self.settings().recipes.iter().enumerate() {
@@ -119,10 +113,10 @@ impl Experiment {
                 }
                 Ok(Vec::new())
             }
-            WorkItem::Repetition { method, repetition } => {
+            WorkItem::Repetition(id) => {
                 if let Some(methods) = &self.settings().methods {
                     let Followed { repetition, made } =
-                        self.follow(methods, (method, repetition), Access::Work(on_event))?;
+                        self.follow(methods, id, Access::Work(on_event))?;
                     on_event(ExperimentEvent::Over { repetition: &repetition, made });
                 }
                 Ok(Vec::new())

@@ -139,7 +139,7 @@ mod tests {
     use super::*;
     use crate::experiment::{
         Method, Plant, PolicyResult, Recipe, RecommendationOutcome, RecommendationResult,
-        RecommendationScore, Repetition, RivalSettings, RolloutResult,
+        RecommendationScore, Repetition, RepetitionId, RivalSettings, RolloutResult,
     };
     use crate::scoring::{Behaviour, Quietness};
     use crate::session::SessionSettings;
@@ -193,8 +193,7 @@ mod tests {
             succeeds: true,
         };
         let repetition = |(number, needed): (u32, &Option<u32>)| Repetition {
-            method,
-            number,
+            id: RepetitionId { method, number },
             recommendations: needed.iter().map(|needed| recommendation(*needed)).collect(),
             is_over: true,
             budget: 125,

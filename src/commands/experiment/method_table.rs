@@ -110,7 +110,7 @@ pub fn csv(results: &MethodResults) -> String {
                 let _ = writeln!(
                     text,
                     "{},{},{},{real_rollouts},{balanced},{ran},{succeeds},{refused}",
-                    method.method, repetition.number, repetition.budget
+                    method.method, repetition.id.number, repetition.budget
                 );
             }
         }
@@ -121,12 +121,11 @@ pub fn csv(results: &MethodResults) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::Method;
+    use crate::experiment::{Method, RepetitionId};
 
     fn results(repetitions: u32) -> MethodResults {
         let repetition = |number| Repetition {
-            method: Method::Identify,
-            number,
+            id: RepetitionId { method: Method::Identify, number },
             recommendations: vec![
                 RecommendationResult {
                     real_rollouts: 1,

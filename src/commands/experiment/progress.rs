@@ -218,7 +218,7 @@ impl ExperimentProgress {
             RecommendationOutcome::Refused(reason) => format!("no recommendation: {reason}"),
         };
         let rollouts = recommendation.real_rollouts;
-        self.line(format!("{}, {rollouts} real rollouts: {item}", repetition.name()));
+        self.line(format!("{}, {rollouts} real rollouts: {item}", repetition.id.name()));
     }
 
     fn searching(&self, name: &str, progress: &SessionEvent) {

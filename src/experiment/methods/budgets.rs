@@ -9,7 +9,7 @@ use super::follow::recommendations_of;
 use super::run::{
     Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended, trained_and_run,
 };
-use super::{Method, MethodSettings};
+use super::{Method, MethodSettings, RepetitionId};
 use crate::experiment::queue::Queue;
 use crate::experiment::results::simulated_return;
 use crate::experiment::series::Ran;
@@ -25,10 +25,8 @@ pub const ALL_PLANTS: &str = "all plants";
 pub(in crate::experiment) struct Trial {
     /// Index of the plant.
     pub plant: usize,
-    /// Method of the comparison.
-    pub method: Method,
-    /// Number of the repetition.
-    pub number: u32,
+    /// Method and number of the repetition.
+    pub id: RepetitionId,
 }
 
 impl MethodSettings {
@@ -37,7 +35,9 @@ impl MethodSettings {
     pub(in crate::experiment) fn trials(&self, plants: usize) -> impl Iterator<Item = Trial> {
         (0..self.repetitions).flat_map(move |number| {
             (0..plants).flat_map(move |plant| {
-                self.methods.iter().map(move |&method| Trial { plant, method, number })
+                self.methods
+                    .iter()
+                    .map(move |&method| Trial { plant, id: RepetitionId { method, number } })
             })
         })
     }
@@ -58,10 +58,10 @@ impl Experiment {
         trial: Trial,
         access: Access,
     ) -> Result<Vec<(usize, PolicyResult)>, ExperimentError> {
-        let Trial { method, number, .. } = trial;
+        let RepetitionId { method, number } = trial.id;
         let plant = &self.settings().plants[trial.plant];
         let folder = self.folder().repetition_on(&plant.name, method.name(), number);
-        let run = self.method_run((method, number), plant, folder, access);
+        let run = self.method_run(trial.id, plant, folder, access);
         let mut recommendations = recommendations_of(&run, method, methods)?;
         let mut results: Vec<(usize, PolicyResult)> = Vec::new();
         // Steps and time of the last score.
@@ -134,7 +134,7 @@ impl Experiment {
         let never = AtomicBool::new(false);
         Queue::new(methods.trials(plants.len()), &never).run(self.threads(), |trial| {
             let results = self.at_budgets(methods, trial, Access::ReadOnly)?;
-            let method = methods.methods.iter().position(|it| *it == trial.method);
+            let method = methods.methods.iter().position(|it| *it == trial.id.method);
             let mut rows = rows.lock().unwrap_or_else(PoisonError::into_inner);
             for (budget, result) in results {
                 let row = (trial.plant, method.unwrap_or_default(), budget);
@@ -294,7 +294,8 @@ mod tests {
         let scored = recording_in(&folder.path, RolloutAttempt::FIRST);
         record_with(&scored, header, Ending::Completed, 300, swings);
 
-        let trial = Trial { plant: 0, method: Method::Posterior, number: 0 };
+        let id = RepetitionId { method: Method::Posterior, number: 0 };
+        let trial = Trial { plant: 0, id };
         let results = experiment.at_budgets(settings, trial, Access::ReadOnly).unwrap();
         // The budgets are 0, 2 and 5; the recordings for the last are missing.
         let [(1, result)] = results.as_slice() else { panic!("{results:?}") };

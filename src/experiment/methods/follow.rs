@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use super::identified::{FromRecordings, Further, Width};
-use super::repetition::{RecommendationOutcome, RecommendationResult, Repetition, name};
+use super::repetition::{RecommendationOutcome, RecommendationResult, Repetition, RepetitionId};
 use super::rivals::{FromRival, FromUniversalPolicy};
 use super::run::{
     Access, MethodRun, OnDisk, Recommendation, Recommendations, Recommended, WithoutRollouts,
@@ -29,15 +29,14 @@ impl Experiment {
     pub(in crate::experiment) fn follow(
         &self,
         methods: &MethodSettings,
-        (method, number): (Method, u32),
+        id: RepetitionId,
         access: Access,
     ) -> Result<Followed, ExperimentError> {
-        let folder = self.folder().repetition(method.name(), number);
-        let run = self.method_run((method, number), &self.settings().plants[0], folder, access);
-        let mut recommendations = recommendations_of(&run, method, methods)?;
+        let folder = self.folder().repetition(id.method.name(), id.number);
+        let run = self.method_run(id, &self.settings().plants[0], folder, access);
+        let mut recommendations = recommendations_of(&run, id.method, methods)?;
         let mut repetition = Repetition {
-            method,
-            number,
+            id,
             recommendations: Vec::new(),
             is_over: false,
             budget: recommendations.count() * recommendations.rollouts_each(),
@@ -49,7 +48,7 @@ impl Experiment {
     /// One repetition of a method on a plant.
     pub(super) fn method_run<'a>(
         &'a self,
-        (method, number): (Method, u32),
+        id: RepetitionId,
         plant: &Plant,
         folder: PathBuf,
         access: Access<'a>,
@@ -61,14 +60,14 @@ impl Experiment {
             .is_some_and(|methods| methods.seeds == RepetitionSeeds::OfEachPlant);
         let place = settings.plants.iter().position(|it| it.name == plant.name);
         let place = place.filter(|_| of_each_plant).unwrap_or_default();
-        let purpose = SeedFor::Repetition { plant: place as u32, repetition: number };
+        let purpose = SeedFor::Repetition { plant: place as u32, repetition: id.number };
         // Counts only the plants that are drawn, so that a single drawn plant has the same Qubes
         // wherever it is in the list.
         let drawn_before = settings.plants[..place].iter().filter(|it| it.vary > 0.0).count();
-        let emulated = plant.for_policy(settings.seed, number, drawn_before as u32);
+        let emulated = plant.for_policy(settings.seed, id.number, drawn_before as u32);
         MethodRun {
             experiment: self,
-            name: name(method, number),
+            name: id.name(),
             recipe: &settings.recipes[0],
             seed: derived_seed(settings.seed, purpose),
             plant: Plant { emulated, vary: 0.0, ..plant.clone() },
@@ -177,7 +176,8 @@ mod tests {
         let drawn = |place: usize| {
             let plant = &experiment.settings().plants[place];
             let folder = root.path().join(&plant.name);
-            let run = experiment.method_run((Method::Robust, 3), plant, folder, Access::ReadOnly);
+            let id = RepetitionId { method: Method::Robust, number: 3 };
+            let run = experiment.method_run(id, plant, folder, Access::ReadOnly);
             run.plant.emulated.model.parameters.get(DomainParameter::PendulumMass)
         };
         let [lab, first, second] = [0, 1, 2].map(drawn);

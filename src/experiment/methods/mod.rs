@@ -35,7 +35,7 @@ pub(super) use budgets::Trial;
 pub(super) use follow::Followed;
 pub use method::Method;
 pub use repetition::{
-    RecommendationOutcome, RecommendationResult, RecommendationScore, Repetition,
+    RecommendationOutcome, RecommendationResult, RecommendationScore, Repetition, RepetitionId,
 };
 pub use results::{MethodResult, MethodResults};
 pub use rivals::RivalSettings;

@@ -1,12 +1,27 @@
 use super::Method;
 
-/// One repetition of a method, with its recommendations so far.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Repetition {
-    /// Method of the repetition.
+/// The method of a repetition and its number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RepetitionId {
+    /// Method of the comparison.
     pub method: Method,
     /// Number of the repetition, from 0.
     pub number: u32,
+}
+
+impl RepetitionId {
+    /// Name of the repetition, such as `bayrn 3`.
+    #[must_use]
+    pub fn name(self) -> String {
+        format!("{} {}", self.method, self.number)
+    }
+}
+
+/// One repetition of a method, with its recommendations so far.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Repetition {
+    /// Method and number.
+    pub id: RepetitionId,
     /// Recommendations with their scores, in order. A recommendation that equals an earlier one is
     /// left out.
     pub recommendations: Vec<RecommendationResult>,
@@ -63,15 +78,4 @@ impl Repetition {
     pub fn succeeded_after(&self) -> Option<u32> {
         self.recommendations.iter().find(|it| it.succeeds).map(|it| it.real_rollouts)
     }
-
-    /// Name of the repetition, such as `bayrn 3`.
-    #[must_use]
-    pub fn name(&self) -> String {
-        name(self.method, self.number)
-    }
-}
-
-/// Name of a repetition, such as `bayrn 3`.
-pub(super) fn name(method: Method, number: u32) -> String {
-    format!("{method} {number}")
 }

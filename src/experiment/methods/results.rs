@@ -112,9 +112,9 @@ impl MethodResults {
             Ok(Vec::new())
         })?;
         let mut read = read.into_inner().unwrap_or_else(PoisonError::into_inner);
-        read.sort_by_key(|repetition| repetition.number);
+        read.sort_by_key(|repetition| repetition.id.number);
         let of = |&method: &Method| {
-            let own = read.iter().filter(|it| it.method == method);
+            let own = read.iter().filter(|it| it.id.method == method);
             let repetitions = own.take_while(|it| it.is_over).cloned().collect();
             MethodResult { method, repetitions }
         };
@@ -129,7 +129,9 @@ impl MethodResults {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::{RecommendationOutcome, RecommendationResult, RecommendationScore};
+    use crate::experiment::{
+        RecommendationOutcome, RecommendationResult, RecommendationScore, RepetitionId,
+    };
     use crate::search::StrategyKind;
 
     /// A method whose repetitions succeed after these numbers of rollouts, or never.
@@ -141,8 +143,7 @@ mod tests {
             succeeds,
         };
         let repetition = |(number, needed): (usize, &Option<u32>)| Repetition {
-            method,
-            number: number as u32,
+            id: RepetitionId { method, number: number as u32 },
             recommendations: [
                 Some(recommendation(5, false)),
                 needed.map(|it| recommendation(it, true)),

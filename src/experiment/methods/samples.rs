@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::run::{Access, MethodRun};
-use super::{Method, MethodSettings, RepetitionSeeds, RivalSettings};
+use super::{Method, MethodSettings, RepetitionId, RepetitionSeeds, RivalSettings};
 use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings, Plant, Recipe};
 use crate::qube::{Measurement, PlantModel, State};
 use crate::recording::{RolloutWriter, samples};
@@ -53,7 +53,7 @@ pub fn experiment_on(root: &Path, methods: Vec<Method>, plants: Vec<Plant>) -> E
 pub fn run<'a>(experiment: &'a Experiment, method: Method, access: Access<'a>) -> MethodRun<'a> {
     let plant = &experiment.settings().plants[0];
     let folder = experiment.folder().repetition_on(&plant.name, method.name(), 0);
-    experiment.method_run((method, 0), plant, folder, access)
+    experiment.method_run(RepetitionId { method, number: 0 }, plant, folder, access)
 }
 
 /// A motion of arm and pendulum that can be fitted, at a time in s.

@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
-use super::Method;
 use super::rivals::RivalSettings;
+use super::{Method, RepetitionId};
 use crate::experiment::ExperimentSettingError;
 
 /// The settings of a comparison of methods.
@@ -73,9 +73,10 @@ impl MethodSettings {
     }
 
     /// Every repetition of every method; those with the lowest number come first.
-    pub(in crate::experiment) fn repetitions(&self) -> impl Iterator<Item = (Method, u32)> {
-        (0..self.repetitions)
-            .flat_map(|repetition| self.methods.iter().map(move |&it| (it, repetition)))
+    pub(in crate::experiment) fn repetitions(&self) -> impl Iterator<Item = RepetitionId> {
+        (0..self.repetitions).flat_map(|number| {
+            self.methods.iter().map(move |&method| RepetitionId { method, number })
+        })
     }
 
     /// Checks the settings.
