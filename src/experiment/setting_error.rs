@@ -8,17 +8,8 @@ use crate::simulation::Model;
 #[derive(Debug, Error)]
 pub enum ExperimentSettingError {
     /// A number is out of its range.
-    #[error("{name} = {value}: give a number from {least} to {most}")]
-    OutOfRange {
-        /// Name of the setting.
-        name: &'static str,
-        /// Value of the setting.
-        value: f64,
-        /// Least accepted value.
-        least: f64,
-        /// Largest accepted value.
-        most: f64,
-    },
+    #[error(transparent)]
+    OutOfRange(#[from] SettingError),
     /// There is no recipe or no plant.
     #[error("an experiment needs at least one recipe and one plant")]
     Empty,
@@ -89,12 +80,12 @@ pub enum ExperimentSettingError {
         source: EmulatedQubeError,
     },
     /// The variation of a plant is out of its range.
-    #[error("plant {plant}: vary = {vary}: give a number from 0 to 0.5")]
+    #[error("plant {plant}: {source}")]
     Vary {
         /// Name of the plant.
         plant: String,
-        /// The variation.
-        vary: f64,
+        /// The variation and its range.
+        source: SettingError,
     },
     /// Recipes home a real Qube in different ways.
     #[error(
@@ -151,20 +142,6 @@ pub enum ExperimentSettingError {
         /// The method.
         method: Method,
     },
-}
-
-impl ExperimentSettingError {
-    /// Checks that a number is in its range.
-    pub(super) fn in_range(
-        name: &'static str,
-        value: f64,
-        [least, most]: [f64; 2],
-    ) -> Result<(), Self> {
-        if (least..=most).contains(&value) {
-            return Ok(());
-        }
-        Err(Self::OutOfRange { name, value, least, most })
-    }
 }
 
 fn why_budgets(method: Method) -> &'static str {

@@ -8,7 +8,7 @@ use super::folder::check_name;
 use super::seal::Seal;
 use super::{ExperimentError, ExperimentSettingError, MethodSettings, Plant, Recipe};
 use crate::qube::PlantModel;
-use crate::session::{Retired, entry_at, take_retired, toml_message};
+use crate::session::{Retired, SettingError, entry_at, take_retired, toml_message};
 use crate::storage::{SETTINGS_BYTES, read_text};
 
 /// The settings of an experiment, as `experiment.toml` contains them.
@@ -117,7 +117,7 @@ impl ExperimentSettings {
             ("rollouts", self.rollouts, 1000.0),
             ("simulated_starts", self.simulated_starts, 100_000.0),
         ] {
-            ExperimentSettingError::in_range(name, value.into(), [1.0, most])?;
+            SettingError::in_range(name, value.into(), [1.0, most])?;
         }
         if self.recipes.is_empty() || self.plants.is_empty() {
             return Err(ExperimentSettingError::Empty);
@@ -146,9 +146,8 @@ impl ExperimentSettings {
             emulated
                 .check()
                 .map_err(|source| ExperimentSettingError::Plant { plant: name.clone(), source })?;
-            if !(0.0..=0.5).contains(vary) {
-                return Err(ExperimentSettingError::Vary { plant: name.clone(), vary: *vary });
-            }
+            SettingError::in_range("vary", *vary, [0.0, 0.5])
+                .map_err(|source| ExperimentSettingError::Vary { plant: name.clone(), source })?;
         }
         match &self.methods {
             Some(methods) => self.check_methods(methods),

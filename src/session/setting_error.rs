@@ -139,7 +139,7 @@ pub enum SettingError {
 
 impl SettingError {
     /// Checks that a number is in its range.
-    pub(super) fn in_range(
+    pub(crate) fn in_range(
         key: impl Into<String>,
         value: f64,
         [least, most]: [f64; 2],

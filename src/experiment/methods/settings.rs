@@ -3,6 +3,7 @@ use serde::{Deserialize, Serialize};
 use super::rivals::RivalSettings;
 use super::{Method, RepetitionId};
 use crate::experiment::ExperimentSettingError;
+use crate::session::SettingError;
 
 /// The settings of a comparison of methods.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -105,7 +106,7 @@ impl MethodSettings {
             ("trainings", self.trainings.into(), [1.0, 64.0]),
             ("spread", self.spread, [0.0, 1.0]),
         ] {
-            ExperimentSettingError::in_range(name, value, range)?;
+            SettingError::in_range(name, value, range)?;
         }
         self.rivals.check()
     }

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RivalKind;
 use crate::experiment::{ExperimentSettingError, Method};
+use crate::session::SettingError;
 
 /// One number of each method from the literature that a comparison can choose. The other numbers of
 /// a method are constants of its file.
@@ -100,7 +101,7 @@ impl RivalSettings {
             ("rivals.adr_temperature", self.adr_temperature, [0.01, 10.0]),
             ("rivals.so_cma_scale", self.so_cma_scale, [0.01, 1.0]),
         ] {
-            ExperimentSettingError::in_range(name, value, range)?;
+            SettingError::in_range(name, value, range)?;
         }
         Ok(())
     }
