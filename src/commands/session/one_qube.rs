@@ -78,7 +78,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let mut progress = SessionProgress::new(&settings, &screen.progress(), &stop);
     let mut session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
         .map_err(failed)?
-        .with_profile(device.profile.clone());
+        .reporting_drift_from(device.profile.clone());
     session.check_boards().map_err(failed)?;
     if let Some(executor) = executor {
         session = session.trained_by(executor);

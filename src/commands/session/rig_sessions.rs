@@ -291,7 +291,7 @@ fn open(
             |error| failures::session(error, &stop, resume).preceded_by(&format!("{name}:"));
         let mut session = Session::open(folder, settings, rig_settings, Arc::clone(&stop.flag))
             .map_err(failed)?
-            .with_profile(device.profile.clone())
+            .reporting_drift_from(device.profile.clone())
             .trained_by(Arc::clone(&executor));
         session.check_boards().map_err(failed)?;
         rigs.push(Rig {

@@ -81,7 +81,7 @@ pub fn run(
     let (first, profile) = rigs.remove(0);
     let mut session = Session::open(folder, settings, first, Arc::clone(&stop.flag))
         .map_err(failed)?
-        .with_profile(profile)
+        .reporting_drift_from(profile)
         .spread_over(rigs);
     session.check_boards().map_err(failed)?;
     if let Some(executor) = executor {

@@ -144,17 +144,18 @@ impl Session {
         Ok(session)
     }
 
-    /// Sets the first rig's profile, if it has one. After the rig's first rollouts the session
-    /// reports the drift from this profile.
+    /// Reports the drift of the first rig from this profile, if there is one, after the rig's first
+    /// rollouts. The guard uses the profile of [`RigSettings::profile`] instead.
     #[must_use]
-    pub fn with_profile(mut self, profile: Option<Profile>) -> Self {
-        self.rigs[0].profile = profile;
+    pub fn reporting_drift_from(mut self, profile: Option<Profile>) -> Self {
+        self.rigs[0].drift_reference = profile;
         self
     }
 
-    /// Spreads the rollouts of each candidate over these rigs too, each with its profile if there
-    /// is one. The rig with which the session was opened remains the first rig. The session must
-    /// not identify its Qube, because an identification describes one Qube.
+    /// Spreads the rollouts of each candidate over these rigs too, each with the profile from which
+    /// its drift is reported, if there is one. The rig with which the session was opened remains the
+    /// first rig. The session must not identify its Qube, because an identification describes one
+    /// Qube.
     #[must_use]
     pub fn spread_over(
         mut self,

@@ -25,8 +25,9 @@ pub(super) struct SessionRig {
     pub(super) settings: RigSettings,
     /// The rig itself, opened on first use.
     pub(super) opened: Option<Rig>,
-    /// Profile of the rig; `None` without one and once the drift from it has been reported.
-    pub(super) profile: Option<Profile>,
+    /// Profile from which the drift of the rig is reported; `None` without one and once the drift
+    /// has been reported. The guard uses the profile of `settings`.
+    pub(super) drift_reference: Option<Profile>,
     /// First recordings of this rig that this process entered into the ledger, until there are
     /// enough to estimate the drift.
     first_recordings: Vec<Recording>,
@@ -35,11 +36,11 @@ pub(super) struct SessionRig {
 }
 
 impl SessionRig {
-    pub(super) fn of(settings: RigSettings, profile: Option<Profile>) -> Self {
+    pub(super) fn of(settings: RigSettings, drift_reference: Option<Profile>) -> Self {
         Self {
             settings,
             opened: None,
-            profile,
+            drift_reference,
             first_recordings: Vec::new(),
             not_begun: NotBegun::default(),
         }
@@ -423,15 +424,15 @@ impl Session {
         on_event: &mut dyn FnMut(SessionEvent),
     ) {
         let rig = self.number_of(index);
-        let SessionRig { profile, first_recordings, .. } = &mut self.rigs[index];
-        if profile.is_none() {
+        let SessionRig { drift_reference, first_recordings, .. } = &mut self.rigs[index];
+        if drift_reference.is_none() {
             return;
         }
         first_recordings.push(recording);
         if first_recordings.len() == DRIFT_ROLLOUTS
-            && let Some(profile) = profile.take()
+            && let Some(reference) = drift_reference.take()
         {
-            let drift = Drift::of(&std::mem::take(first_recordings), &profile);
+            let drift = Drift::of(&std::mem::take(first_recordings), &reference);
             on_event(SessionEvent::Drift { rig, drift: &drift });
         }
     }
