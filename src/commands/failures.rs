@@ -1,13 +1,12 @@
 //! Maps errors of the library to failures with their exit codes, and adds advice that names
 //! commands and options.
 
-use std::fs::File;
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind};
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::command_hints::{self, too_wide};
 use super::exit::Failure;
+use super::last_ticks_file::write_last_ticks;
 use super::printable::one_line;
 use super::stop::Stop;
 use crate::device::DeviceError;
@@ -84,26 +83,19 @@ pub fn virtual_port(error: &RigError) -> Failure {
     Failure::usage(format!("{error}: leave --clock virtual or the port out"))
 }
 
-/// Writes to a file the ticks of the last second before a fault or a lost link ended homing, one
-/// tick a line, because homing has no recording. Returns a sentence for the error message: the path
-/// of the file, or the reason why it could not be written. The sentence is empty for other errors
-/// and without ticks.
+/// Keeps the ticks of the last second before a fault or a lost link ended homing. Returns a
+/// sentence for the error message: the path of their file, or the reason why it could not be
+/// written. The sentence is empty for other errors and without ticks.
 pub fn with_last_ticks(error: &RigError) -> String {
-    let last_ticks = match error {
-        RigError::Homing { last_ticks, .. } | RigError::LinkLost { last_ticks, .. } => last_ticks,
-        _ => return String::new(),
+    let (RigError::Homing { last_ticks, .. } | RigError::LinkLost { last_ticks, .. }) = error
+    else {
+        return String::new();
     };
     if last_ticks.is_empty() {
         return String::new();
     }
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let name = format!("qube-hil-homing-{}.jsonl", since_1970.as_millis());
-    let path = std::env::temp_dir().join(name);
-    let lines = last_ticks.iter().map(|tick| format!("{}\n", serde_json::json!(tick)));
-    let text: String = lines.collect();
-    let written = File::create_new(&path).and_then(|mut file| file.write_all(text.as_bytes()));
-    match written {
-        Ok(()) => format!(" The last second of the homing is in {}", path.display()),
+    match write_last_ticks(last_ticks) {
+        Ok(path) => format!(" The last second of the homing is in {}", path.display()),
         Err(reason) => format!(" The last second of the homing could not be kept: {reason}"),
     }
 }

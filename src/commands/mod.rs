@@ -27,6 +27,7 @@ mod guard_argument;
 mod identify;
 mod import;
 mod keyboard;
+mod last_ticks_file;
 #[cfg(feature = "live")]
 mod live;
 #[cfg(not(feature = "live"))]
