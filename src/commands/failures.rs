@@ -164,7 +164,7 @@ pub fn folder(error: &FolderError) -> Failure {
 /// Returns the command that resumes the work in a folder; `None` for a folder without a session or
 /// an experiment.
 fn resuming_command(folder: &Path) -> Option<&'static str> {
-    if SessionPaths::new(folder).configuration().exists() || RigSessions::are_in(folder) {
+    if SessionPaths::new(folder).configuration().exists() || RigSessions::exist_in(folder) {
         Some("session")
     } else if ExperimentFolder::is_in(folder) {
         Some("experiment")

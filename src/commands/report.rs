@@ -85,7 +85,7 @@ fn folder_asked(arguments: &Arguments) -> Result<Option<&Path>, Failure> {
                     "--profile goes with recordings, and a folder has its own Qubes: leave --profile out, or give recordings",
                 ));
             }
-            if RigSessions::are_in(folder) {
+            if RigSessions::exist_in(folder) {
                 return Err(Failure::usage(format!(
                     "{} has the sessions of several Qubes: give the folder of one, as {}",
                     folder.display(),

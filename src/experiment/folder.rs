@@ -52,12 +52,12 @@ impl ExperimentFolder {
     pub fn create(root: &Path, settings: &str) -> Result<Self, ExperimentError> {
         let exists = || FolderError::Exists { path: root.to_owned() };
         let settings_path = settings_in(root);
-        let has_not_begun = || {
+        let holds_only_leftovers = || {
             let names = MachineDisk.names(root);
             let is_partial = |path: PathBuf| is_unfinished_of(&MachineDisk, &path, &settings_path);
             names.is_ok_and(|names| names.iter().all(|name| is_partial(root.join(name))))
         };
-        if MachineDisk.exists(root) && !has_not_begun() {
+        if MachineDisk.exists(root) && !holds_only_leftovers() {
             return Err(exists().into());
         }
         make(root)?;

@@ -86,7 +86,7 @@ impl SessionFolder {
         root: &Path,
         configuration: &str,
     ) -> Result<Self, FolderError> {
-        if disk.exists(root) && !has_not_begun(disk.as_ref(), root)? {
+        if disk.exists(root) && !holds_only_leftovers(disk.as_ref(), root)? {
             return Err(FolderError::Exists { path: root.to_owned() });
         }
         let paths = SessionPaths::new(root);
@@ -118,7 +118,7 @@ impl SessionFolder {
         let paths = SessionPaths::new(root);
         if !disk.exists(&paths.configuration()) {
             let path = root.to_owned();
-            return Err(if disk.exists(root) && has_not_begun(disk.as_ref(), root)? {
+            return Err(if disk.exists(root) && holds_only_leftovers(disk.as_ref(), root)? {
                 FolderError::NotBegun { path }
             } else {
                 FolderError::NotASession { path }
@@ -200,7 +200,7 @@ impl SessionFolder {
     pub(super) fn remove_leftovers(root: &Path) {
         let disk = MachineDisk;
         let Ok(_lock) = disk.lock_folder(root) else { return };
-        if !has_not_begun(&disk, root).unwrap_or(false) {
+        if !holds_only_leftovers(&disk, root).unwrap_or(false) {
             return;
         }
         let paths = SessionPaths::new(root);
@@ -212,7 +212,7 @@ impl SessionFolder {
 /// Returns whether a folder is empty or holds only the leftovers of a session that was killed
 /// before its `session.toml` was complete: an empty folder for candidates, and a partial
 /// configuration.
-fn has_not_begun(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
+fn holds_only_leftovers(disk: &dyn Disk, root: &Path) -> Result<bool, FolderError> {
     let names = match disk.names(root) {
         Err(error) if error.kind() == ErrorKind::NotADirectory => return Ok(false),
         names => names.map_err(io(root))?,

@@ -89,7 +89,7 @@ pub fn next_step(
         }
         (Some(_), _, None) => Some(Step::Decide),
         (Some(_), _, Some(_)) => {
-            let is_due = !state.took_in_verification() && state.count_of(Purpose::Baseline) == 0;
+            let is_due = !state.verification_is_used() && state.count_of(Purpose::Baseline) == 0;
             is_due.then_some(Step::Identify)
         }
         (None, ..) => (state.count_of(Purpose::Search) < extent.iterations)

@@ -47,7 +47,7 @@ impl RigSessions {
 
     /// Returns whether a folder holds the sessions of several Qubes: it has a `rigs.toml`.
     #[must_use]
-    pub fn are_in(root: &Path) -> bool {
+    pub fn exist_in(root: &Path) -> bool {
         Self::path(root).exists()
     }
 
@@ -56,7 +56,7 @@ impl RigSessions {
     ///
     /// # Errors
     /// The folder cannot be read.
-    pub fn have_not_begun(root: &Path) -> Result<bool, FolderError> {
+    pub fn holds_only_leftovers(root: &Path) -> Result<bool, FolderError> {
         let failed = |source| FolderError::Io { path: root.to_owned(), source };
         for entry in std::fs::read_dir(root).map_err(failed)? {
             let path = entry.map_err(failed)?.path();
@@ -177,7 +177,7 @@ mod tests {
         std::fs::create_dir_all(second.join("candidates")).unwrap();
         std::fs::write(second.join("session.toml.4711-0.unfinished"), "se").unwrap();
         std::fs::write(root.join("rigs.toml.4711-0.unfinished"), "dev").unwrap();
-        assert!(RigSessions::have_not_begun(root).unwrap());
+        assert!(RigSessions::holds_only_leftovers(root).unwrap());
         RigSessions::withdraw(root);
         assert_eq!(std::fs::read_dir(root).unwrap().count(), 0);
 
@@ -185,6 +185,6 @@ mod tests {
         RigSessions::withdraw(root);
         assert!(second.join("candidates/000").exists());
         std::fs::write(root.join("notes"), "").unwrap();
-        assert!(!RigSessions::have_not_begun(root).unwrap());
+        assert!(!RigSessions::holds_only_leftovers(root).unwrap());
     }
 }

@@ -234,7 +234,7 @@ pub struct SessionState {
     candidates: Vec<Candidate>,
     identification: Identification,
     search_end: Option<RecordedEnd>,
-    took_in_verification: bool,
+    verification_is_used: bool,
     /// Reason why the recordings of the verification left the profile as it was, if they did.
     unchanged_by_verification: Option<String>,
     /// Rollouts with a result since the latest profile was found, or since the beginning.
@@ -306,8 +306,8 @@ impl SessionState {
     /// Returns whether the session has used the recordings of the verification: they have led to
     /// the last profile, or left the profile as it was.
     #[must_use]
-    pub fn took_in_verification(&self) -> bool {
-        self.took_in_verification
+    pub fn verification_is_used(&self) -> bool {
+        self.verification_is_used
     }
 
     /// The reason why the recordings of the verification left the profile as it was; `None` if they
@@ -391,7 +391,7 @@ impl SessionState {
                     profiles,
                     failed_refit: None,
                 };
-                self.took_in_verification = self.search_end.is_some();
+                self.verification_is_used = self.search_end.is_some();
                 self.finished_since_profile.clear();
             }
             Entry::NotUpdated { recordings: Some(recordings), ref reason } => {
@@ -405,10 +405,10 @@ impl SessionState {
                 }
             }
             Entry::NotUpdated { recordings: None, ref reason } => {
-                if self.search_end.is_none() || self.took_in_verification {
+                if self.search_end.is_none() || self.verification_is_used {
                     return Err(EntryError::NoUpdateDue);
                 }
-                self.took_in_verification = true;
+                self.verification_is_used = true;
                 self.unchanged_by_verification = Some(reason.clone());
             }
             Entry::NotIdentified { ref reason } => {

@@ -225,7 +225,7 @@ fn begin(
     devices: &[ChosenDevice],
 ) -> Result<Vec<Begun>, Failure> {
     let refused = |error| failures::folder(&error);
-    if !RigSessions::have_not_begun(root).map_err(refused)? {
+    if !RigSessions::holds_only_leftovers(root).map_err(refused)? {
         return Err(refused(FolderError::Exists { path: root.to_owned() }));
     }
     RigSessions::withdraw(root);

@@ -47,14 +47,16 @@ pub fn asked(arguments: &Arguments) -> Result<Option<SeveralRigs>, Failure> {
         };
         return Ok(Some(SeveralRigs { policy, devices }));
     };
-    if RigSessions::are_in(root) {
+    if RigSessions::exist_in(root) {
         let known = RigSessions::load(root).map_err(Failure::usage)?.devices;
         let devices = devices_to_resume(arguments, root, &known)?;
         return Ok(Some(SeveralRigs { policy: RigPolicy::Own, devices }));
     }
     // With a single Qube the session itself reports the fault of its folder.
     if arguments.rigs.count() > 1 {
-        if root.is_dir() && RigSessions::have_not_begun(root).map_err(|it| failures::folder(&it))? {
+        if root.is_dir()
+            && RigSessions::holds_only_leftovers(root).map_err(|it| failures::folder(&it))?
+        {
             return Err(failures::folder(&FolderError::NotBegun { path: root.clone() }));
         }
         SessionFolder::open(root).map_err(|error| failures::folder(&error))?;

@@ -73,7 +73,7 @@ impl Session {
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
         if self.ledger.state().gain_at_end().is_some() {
-            return self.take_in_verification(on_event);
+            return self.use_verification(on_event);
         }
         let data = self.fit_data_reported(on_event)?;
         match self.fitted(&data) {
@@ -93,7 +93,7 @@ impl Session {
     /// Updates the profile with the recordings of the verification. The search is over by then, so
     /// these recordings improve the guard, the report and the profile for later use, but do not
     /// influence the search.
-    fn take_in_verification(
+    fn use_verification(
         &mut self,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
