@@ -123,7 +123,7 @@ fn describe(found: &Result<Identified, IdentifyError>) -> String {
     match found {
         Ok(found) => {
             let tests = &found.assessment;
-            let doubts: Vec<_> = tests.doubts.iter().map(|doubt| doubt.name()).collect();
+            let doubts: Vec<_> = tests.missing_effects.iter().map(|doubt| doubt.name()).collect();
             format!(
                 "{} noise {:.2} whiteness {:.3} growth {:.2} inflation {:.2} {}",
                 tests.verdict.name(),
@@ -162,7 +162,7 @@ impl Row {
         self.doubted += u32::from(verdict != Ok(ModelVerdict::Fits));
         let cause = found.as_ref().err().and_then(IdentifyError::cause);
         self.naming_a_sign += u32::from(matches!(cause, Some(Cause::Reversed(_))));
-        let doubts = found.iter().flat_map(|found| &found.assessment.doubts);
+        let doubts = found.iter().flat_map(|found| &found.assessment.missing_effects);
         for doubt in doubts.filter(|doubt| **doubt != MissingEffect::Unexplained) {
             *self.named.entry(doubt.name()).or_default() += 1;
         }
@@ -187,7 +187,8 @@ impl Row {
         let usable = logs(true).filter(|log| check_recording(log).is_ok());
         let mut compared = found.clone();
         compared.hold_out(&usable.collect::<Vec<_>>());
-        let new_doubts = compared.assessment.doubts.len() > found.assessment.doubts.len();
+        let new_doubts =
+            compared.assessment.missing_effects.len() > found.assessment.missing_effects.len();
         self.doubted_by_held_out += u32::from(new_doubts);
         let widening = compared.inflation / found.inflation;
         let Some(band) = PredictionBand::of(&errors(false)) else { return widening };

@@ -90,7 +90,7 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
     let result = json!({
         "estimates": estimates.collect::<Vec<_>>(),
         "verdict": assessment.verdict.name(),
-        "doubts": assessment.doubts.iter().map(|doubt| doubt.name()).collect::<Vec<_>>(),
+        "doubts": assessment.missing_effects.iter().map(|doubt| doubt.name()).collect::<Vec<_>>(),
         "left_out": left_out.collect::<Vec<_>>(),
         "incomplete": incomplete.collect::<Vec<_>>(),
         "profile": toml::to_string_pretty(&profile).map_err(|error| error.to_string())?,

@@ -164,7 +164,7 @@ pub struct Assessment {
     /// Result of the tests.
     pub verdict: ModelVerdict,
     /// Effects that the model may lack; empty if the tests find no sign of any.
-    pub doubts: Vec<MissingEffect>,
+    pub missing_effects: Vec<MissingEffect>,
     /// Residual (root mean square) over windows of half a second, or of a quarter where the
     /// pendulum is upright, in standard deviations of the encoder's quantisation; the larger value
     /// of the two angles.
@@ -195,24 +195,24 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> (Assessment, [No
     let encoders = fit.plant.encoders;
     let finer =
         encoders.theta.counts_per_qube_count().max(encoders.alpha.counts_per_qube_count()).max(1.0);
-    let mut doubts = Vec::new();
+    let mut missing_effects = Vec::new();
     if noise_ratio > LARGEST_NOISE_RATIO
         || whiteness > largest_whiteness
         || growth > LARGEST_GROWTH * finer
     {
-        doubts.push(MissingEffect::Unexplained);
+        missing_effects.push(MissingEffect::Unexplained);
     }
     let noise = noise_from_residuals(&check.stretches, &residuals, encoders);
     let check = Fit { unknowns: fit.unknowns, ..check };
-    doubts.extend(named(&check, 2.0 * samples, noise_ratio));
+    missing_effects.extend(named(&check, 2.0 * samples, noise_ratio));
     let verdict = if !scale.is_within(UNFIT_RAD) {
         ModelVerdict::DoesNotFit
-    } else if doubts.is_empty() {
+    } else if missing_effects.is_empty() {
         ModelVerdict::Fits
     } else {
         ModelVerdict::FitsBut
     };
-    (Assessment { verdict, doubts, noise_ratio, whiteness, growth }, noise)
+    (Assessment { verdict, missing_effects, noise_ratio, whiteness, growth }, noise)
 }
 
 impl Assessment {
@@ -221,11 +221,11 @@ impl Assessment {
     /// standard errors predict, by the factor `contradiction` (a posterior predictive check).
     pub(super) fn compare(&mut self, noise_ratio: f64, contradiction: f64) {
         if noise_ratio > LARGEST_HELD_OUT_RATIO * self.noise_ratio.max(1.0) {
-            self.doubts.push(MissingEffect::HeldOut);
+            self.missing_effects.push(MissingEffect::HeldOut);
         } else if contradiction > LARGEST_CONTRADICTION {
-            self.doubts.push(MissingEffect::Contradicted);
+            self.missing_effects.push(MissingEffect::Contradicted);
         }
-        if self.verdict == ModelVerdict::Fits && !self.doubts.is_empty() {
+        if self.verdict == ModelVerdict::Fits && !self.missing_effects.is_empty() {
             self.verdict = ModelVerdict::FitsBut;
         }
     }

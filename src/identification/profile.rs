@@ -8,7 +8,7 @@ impl Identified {
     pub fn profile(&self, name: &str, recordings: Vec<String>, boards: Vec<String>) -> Profile {
         let named = |unknown: super::Unknown| unknown.name().to_owned();
         let errors = self.estimates.iter().map(|it| (named(it.unknown), it.standard_error));
-        let doubts = self.assessment.doubts.iter().map(|doubt| doubt.name().to_owned());
+        let doubts = self.assessment.missing_effects.iter().map(|doubt| doubt.name().to_owned());
         let names = self.estimates.iter().map(|it| named(it.unknown)).collect();
         Profile {
             name: name.to_owned(),

@@ -58,7 +58,7 @@ pub struct FittedProfile {
     /// Whether the model describes the Qube.
     pub verdict: ModelVerdict,
     /// The effects that the model may lack, in words.
-    pub doubts: Vec<String>,
+    pub missing_effects: Vec<String>,
 }
 
 impl<Name> Default for FitData<Name> {
@@ -117,10 +117,11 @@ pub fn fit_profile<Name>(data: &FitData<Name>, plant: &PlantModel, name: &str) -
         Err(error) => return ProfileFit::Refused(error.to_string()),
     };
     let verdict = found.assessment.verdict;
-    let doubts: Vec<String> = found.assessment.doubts.iter().map(ToString::to_string).collect();
+    let missing_effects: Vec<String> =
+        found.assessment.missing_effects.iter().map(ToString::to_string).collect();
     if verdict == ModelVerdict::DoesNotFit {
-        let doubts = doubts.join("; ");
-        let reason = format!("the model does not describe this Qube: {doubts}");
+        let missing_effects = missing_effects.join("; ");
+        let reason = format!("the model does not describe this Qube: {missing_effects}");
         return ProfileFit::Refused(reason);
     }
     let recordings = data.usable();
@@ -129,5 +130,5 @@ pub fn fit_profile<Name>(data: &FitData<Name>, plant: &PlantModel, name: &str) -
         _ => format!("{name} from {recordings} recordings"),
     };
     let profile = found.profile(&name, Vec::new(), data.boards.iter().cloned().collect());
-    ProfileFit::Found(Box::new(FittedProfile { profile, recordings, verdict, doubts }))
+    ProfileFit::Found(Box::new(FittedProfile { profile, recordings, verdict, missing_effects }))
 }

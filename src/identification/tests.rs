@@ -313,8 +313,12 @@ fn only_a_motor_that_warms_raises_a_doubt() {
         let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
         let tests = &found.assessment;
         assert_eq!(tests.verdict, verdict, "{share}: {tests:?}");
-        assert_eq!(tests.doubts.contains(&MissingEffect::Warming), share > 0.0, "{tests:?}");
-        assert_eq!(tests.doubts.is_empty(), share == 0.0, "{tests:?}");
+        assert_eq!(
+            tests.missing_effects.contains(&MissingEffect::Warming),
+            share > 0.0,
+            "{tests:?}"
+        );
+        assert_eq!(tests.missing_effects.is_empty(), share == 0.0, "{tests:?}");
     }
 }
 
@@ -329,7 +333,11 @@ fn an_encoder_off_its_centre_is_doubted_and_named() {
     });
     let found = identify(&logs, &all(), &QubeModel::NOMINAL).unwrap();
     assert_eq!(found.assessment.verdict, ModelVerdict::FitsBut);
-    assert!(found.assessment.doubts.contains(&MissingEffect::Angle), "{:?}", found.assessment);
+    assert!(
+        found.assessment.missing_effects.contains(&MissingEffect::Angle),
+        "{:?}",
+        found.assessment
+    );
 }
 
 #[test]
@@ -373,8 +381,12 @@ fn only_held_out_recordings_of_another_qube_raise_a_doubt() {
     for (qube, doubted) in [(truth(), false), (longer, true)] {
         let mut found = identified.clone();
         let ratio = found.hold_out(&[chirp(&qube, -1.0, 4.0)]).unwrap();
-        let doubts = &found.assessment.doubts;
-        assert_eq!(doubts.contains(&MissingEffect::HeldOut), doubted, "{ratio}: {doubts:?}");
+        let missing_effects = &found.assessment.missing_effects;
+        assert_eq!(
+            missing_effects.contains(&MissingEffect::HeldOut),
+            doubted,
+            "{ratio}: {missing_effects:?}"
+        );
         let verdict = if doubted { ModelVerdict::FitsBut } else { ModelVerdict::Fits };
         assert_eq!(found.assessment.verdict, verdict);
         // No standard error grows by more than the factor by which the recording contradicts the
@@ -411,7 +423,7 @@ fn a_held_out_swing_is_measured_by_the_noise_of_the_chirp_that_was_fitted() {
     longer.parameters.pendulum_length_m = truth().parameters.pendulum_length_m * 1.003;
     let mut found = identified.clone();
     let ratio = found.hold_out(&[falls(&longer)]).unwrap();
-    assert_eq!(found.assessment.doubts, [MissingEffect::Contradicted], "{ratio}");
+    assert_eq!(found.assessment.missing_effects, [MissingEffect::Contradicted], "{ratio}");
     let provenance = found.profile("longer", Vec::new(), Vec::new()).provenance.unwrap();
     assert_eq!(provenance.doubts, ["contradicted"]);
 }

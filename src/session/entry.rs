@@ -59,7 +59,8 @@ pub enum Entry {
         /// The fit's verdict by its name: `fits` or `fits_but`.
         verdict: String,
         /// Names of the effects that are missing according to the verdict.
-        doubts: Vec<String>,
+        #[serde(rename = "doubts")]
+        missing_effects: Vec<String>,
         /// The checksum of the profile, as [`crate::storage::checksum_of`] computes it. It protects
         /// the file, which determines the guard.
         checksum: String,

@@ -15,12 +15,12 @@ pub enum SessionEvent<'a> {
         /// Numbers of candidates, this one included.
         counts: CandidateCounts,
     },
-    /// The Qube was identified from recordings, with these doubts.
+    /// The Qube was identified from recordings.
     Identified {
         /// Number of recordings.
         recordings: u32,
         /// Names of the effects that are missing according to the verdict.
-        doubts: &'a [String],
+        missing_effects: &'a [String],
     },
     /// The fit of a profile leaves a recording out, because it cannot be fitted. A session reports
     /// each such recording once.
@@ -39,7 +39,7 @@ pub enum SessionEvent<'a> {
     /// as for an unknown Qube.
     NotIdentified(&'a str),
     /// A fit to the recordings so far gave no new profile during the search, for this reason. The
-    /// latest profile stays and is doubted.
+    /// latest profile stays and is questionable.
     RefitFailed {
         /// Number of recordings.
         recordings: u32,

@@ -483,7 +483,7 @@ mod tests {
         let found = |recordings| Entry::Identified {
             recordings,
             verdict: "fits".into(),
-            doubts: Vec::new(),
+            missing_effects: Vec::new(),
             checksum: String::new(),
         };
         entries.push(found(2));

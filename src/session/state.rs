@@ -115,7 +115,7 @@ pub enum Identification {
         /// Verdict of that fit, by name.
         verdict: String,
         /// Names of the effects that the model lacks according to the verdict.
-        doubts: Vec<String>,
+        missing_effects: Vec<String>,
         /// Profiles in the order in which they were found. Psi shifts the simulations along
         /// directions of the errors of the first profile.
         profiles: Vec<StoredProfile>,
@@ -127,13 +127,13 @@ pub enum Identification {
 }
 
 impl Identification {
-    /// Returns whether the Qube is identified and its profile is in doubt: the verdict on its fit
-    /// names effects that the model lacks, or a later fit to more recordings failed.
+    /// Returns whether the Qube is identified and its profile is questionable: the verdict on its
+    /// fit names effects that the model lacks, or a later fit to more recordings failed.
     #[must_use]
-    pub fn is_doubted(&self) -> bool {
+    pub fn is_questionable(&self) -> bool {
         match self {
-            Self::Found { doubts, failed_refit, .. } => {
-                !doubts.is_empty() || failed_refit.is_some()
+            Self::Found { missing_effects, failed_refit, .. } => {
+                !missing_effects.is_empty() || failed_refit.is_some()
             }
             Self::None | Self::Refused(_) => false,
         }
@@ -381,13 +381,13 @@ impl SessionState {
                 (candidate.void, candidate.void_before) = (0, 0);
                 self.finished_since_profile.push(id);
             }
-            Entry::Identified { recordings, ref verdict, ref doubts, ref checksum } => {
+            Entry::Identified { recordings, ref verdict, ref missing_effects, ref checksum } => {
                 let mut profiles = self.profiles_before(recordings)?.to_vec();
                 profiles.push(StoredProfile { recordings, checksum: checksum.clone() });
                 self.identification = Identification::Found {
                     recordings,
                     verdict: verdict.clone(),
-                    doubts: doubts.clone(),
+                    missing_effects: missing_effects.clone(),
                     profiles,
                     failed_refit: None,
                 };
@@ -504,11 +504,11 @@ impl SessionState {
 mod tests {
     use super::*;
 
-    fn identified(recordings: u32, doubts: &[&str]) -> Entry {
+    fn identified(recordings: u32, missing_effects: &[&str]) -> Entry {
         Entry::Identified {
             recordings,
             verdict: "fits".into(),
-            doubts: doubts.iter().map(ToString::to_string).collect(),
+            missing_effects: missing_effects.iter().map(ToString::to_string).collect(),
             checksum: String::new(),
         }
     }
@@ -521,17 +521,17 @@ mod tests {
     fn a_failed_fit_leaves_the_profile_in_doubt_until_another_fit_succeeds() {
         let known = |entries: &[Entry]| SessionState::of(entries).map(|it| it.identification);
         let mut entries = vec![identified(1, &[])];
-        assert!(!known(&entries).unwrap().is_doubted());
+        assert!(!known(&entries).unwrap().is_questionable());
         entries.push(failed(3));
         let doubted = known(&entries).unwrap();
-        assert!(doubted.is_doubted());
+        assert!(doubted.is_questionable());
         assert_eq!(doubted.fitted_recordings(), 3);
         // A resumed session does not fit the same recordings again.
         assert!(known(&[&entries[..], &[failed(3)]].concat()).is_err());
         entries.push(identified(4, &[]));
-        assert!(!known(&entries).unwrap().is_doubted());
+        assert!(!known(&entries).unwrap().is_questionable());
         entries.push(identified(5, &["play"]));
-        assert!(known(&entries).unwrap().is_doubted());
+        assert!(known(&entries).unwrap().is_questionable());
         // Recordings of the verification are entered without their number.
         entries.push(Entry::SearchEnded { expected_gain: 0.0 });
         assert!(known(&[&entries[..], &[failed(6)]].concat()).is_err());

@@ -7,7 +7,7 @@ use crate::tree::root;
 
 /// Thresholds that the table must have, because they decide verdicts and trainings.
 const NEEDED: [&str; 11] = [
-    "DOUBTED_WIDTH",
+    "QUESTIONABLE_WIDTH",
     "LARGEST_CHANCE",
     "LARGEST_GROWTH",
     "LARGEST_HELD_OUT_RATIO",

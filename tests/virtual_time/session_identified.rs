@@ -411,7 +411,7 @@ fn a_later_fit_that_fails_is_told_and_a_policy_for_an_unknown_qube_competes_from
     // A round has a training for psi and one for an unknown Qube.
     assert!(trainings[1] >= 2, "{trainings:?}");
     let view = SessionView::read(&MachineDisk, SessionPaths::new(&root)).unwrap();
-    assert!(view.state().identification().is_doubted());
+    assert!(view.state().identification().is_questionable());
 }
 
 #[test]

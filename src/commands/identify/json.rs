@@ -26,6 +26,7 @@ pub fn result(
             "alpha_zero_rad": identified.offsets[index].alpha_zero_rad,
         })
     };
+    let missing_effects = identified.assessment.missing_effects.iter().map(|it| it.name());
     json!({
         "estimates": identified.estimates.iter().map(estimate).collect::<Vec<_>>(),
         "recordings": fitted_files.iter().enumerate().map(recording).collect::<Vec<_>>(),
@@ -36,7 +37,7 @@ pub fn result(
         "fitted_phases": fitted.regimes.iter().map(phase).collect::<Vec<_>>(),
         "held_out_phases": held_out.regimes.iter().map(phase).collect::<Vec<_>>(),
         "verdict": identified.assessment.verdict.name(),
-        "doubts": identified.assessment.doubts.iter().map(|doubt| doubt.name()).collect::<Vec<_>>(),
+        "doubts": missing_effects.collect::<Vec<_>>(),
         "noise_ratio": identified.assessment.noise_ratio,
         "whiteness": identified.assessment.whiteness,
         "growth": identified.assessment.growth,

@@ -142,12 +142,12 @@ fn band_lines(predictions: &Predictions) -> String {
 /// explains.
 fn assessment(identified: &Identified) -> String {
     let tests = &identified.assessment;
-    let doubts: Vec<String> = tests.doubts.iter().map(ToString::to_string).collect();
-    let doubts = doubts.join("; ");
+    let missing: Vec<String> = tests.missing_effects.iter().map(ToString::to_string).collect();
+    let missing = missing.join("; ");
     let verdict = match tests.verdict {
         ModelVerdict::Fits => "The model describes this Qube.".to_owned(),
-        ModelVerdict::FitsBut => format!("The model describes this Qube except for {doubts}."),
-        ModelVerdict::DoesNotFit => format!("The model does not describe this Qube: {doubts}."),
+        ModelVerdict::FitsBut => format!("The model describes this Qube except for {missing}."),
+        ModelVerdict::DoesNotFit => format!("The model does not describe this Qube: {missing}."),
     };
     let widened = if identified.inflation > 1.05 {
         let factor = identified.inflation;

@@ -112,9 +112,9 @@ impl SessionProgress {
                 self.line(format!("{on}first the Qube is checked and homed{hint}"));
             }
             SessionEvent::Connected { rig, opened } => self.connected(*rig, opened),
-            SessionEvent::Identified { recordings, doubts } => {
+            SessionEvent::Identified { recordings, missing_effects } => {
                 self.progress.update(|state| state.phase = "planning".into());
-                self.line(identified(*recordings, doubts));
+                self.line(identified(*recordings, missing_effects));
             }
             SessionEvent::RecordingLeftOut { candidate, rollout, reason } => self.line(format!(
                 "candidate {candidate}, rollout {rollout}: the identification leaves the recording out: {reason}"
@@ -322,13 +322,13 @@ fn of_rig(rig: Option<u32>) -> String {
 }
 
 /// The outcome of a successful identification as a sentence.
-pub fn identified(recordings: u32, doubts: &[String]) -> String {
+pub fn identified(recordings: u32, missing_effects: &[String]) -> String {
     let from =
         if recordings == 1 { "1 recording".into() } else { format!("{recordings} recordings") };
-    let but = if doubts.is_empty() {
+    let but = if missing_effects.is_empty() {
         String::new()
     } else {
-        format!(" except for {}", doubts.join("; "))
+        format!(" except for {}", missing_effects.join("; "))
     };
     format!("identified from {from}: the model describes this Qube{but}")
 }

@@ -154,9 +154,9 @@ impl SessionTable {
                     one_line(reason)
                 );
             }
-            Identification::Found { recordings, doubts, failed_refit, .. } => {
+            Identification::Found { recordings, missing_effects, failed_refit, .. } => {
                 let profile = report.directory.join(SessionPaths::profile_name(*recordings));
-                let mut message = identified(*recordings, doubts);
+                let mut message = identified(*recordings, missing_effects);
                 if let Some(FailedRefit { recordings, reason }) = failed_refit {
                     message += "\n";
                     message += &refit_failed(*recordings, &one_line(reason));
@@ -234,9 +234,9 @@ fn identification(known: &Identification) -> Value {
     match known {
         Identification::None => Value::Null,
         Identification::Refused(reason) => json!({ "refused": reason }),
-        Identification::Found { recordings, verdict, doubts, failed_refit, .. } => {
+        Identification::Found { recordings, verdict, missing_effects, failed_refit, .. } => {
             let mut known =
-                json!({ "recordings": recordings, "verdict": verdict, "doubts": doubts });
+                json!({ "recordings": recordings, "verdict": verdict, "doubts": missing_effects });
             if let Some(FailedRefit { recordings, reason }) = failed_refit {
                 known["failed_refit"] = json!({ "recordings": recordings, "reason": reason });
             }

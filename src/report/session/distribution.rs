@@ -223,8 +223,8 @@ mod tests {
         let path = SessionPaths::new(folder.path()).configuration();
         std::fs::write(path, settings.to_toml().unwrap()).unwrap();
         let mut source = SessionSource::read(&MachineDisk, folder.path()).unwrap();
-        let (verdict, doubts, checksum) = ("fits_but".into(), Vec::new(), String::new());
-        let found = Entry::Identified { recordings: 1, verdict, doubts, checksum };
+        let (verdict, missing_effects, checksum) = ("fits_but".into(), Vec::new(), String::new());
+        let found = Entry::Identified { recordings: 1, verdict, missing_effects, checksum };
         source.state = SessionState::of(&[found]).unwrap();
         source.profiles = vec![(1, Profile::lab())];
         let candidate = Candidate {

@@ -25,14 +25,14 @@ pub(super) fn add_identification(page: &mut Page, source: &SessionSource) {
                 "The Qube was not identified, so the search treated it as an unknown one: {reason}"
             ));
         }
-        Identification::Found { recordings, verdict, doubts, failed_refit, .. } => {
+        Identification::Found { recordings, verdict, missing_effects, failed_refit, .. } => {
             page.section("Identification");
             let from =
                 if *recordings == 1 { "1 recording" } else { &format!("{recordings} recordings") };
             let fit =
                 if verdict == "fits" { "the model fits" } else { "the model fits, with doubts" };
             page.paragraph(&format!("The Qube was identified from {from}: {fit}."));
-            for doubt in doubts {
+            for doubt in missing_effects {
                 page.paragraph(&format!("Doubt: {doubt}"));
             }
             if let Some(FailedRefit { recordings, reason }) = failed_refit {

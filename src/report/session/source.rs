@@ -383,7 +383,7 @@ mod tests {
         let identified = |recordings| Entry::Identified {
             recordings,
             verdict: "fits".into(),
-            doubts: Vec::new(),
+            missing_effects: Vec::new(),
             checksum: String::new(),
         };
         source.state = SessionState::of(&[identified(1), identified(3)]).unwrap();

@@ -15,7 +15,7 @@ pub(super) struct EarlyTraining {
 /// The kind of policy of an early training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EarlyKind {
-    /// The policy for an unidentified Qube, which a doubted identification needs.
+    /// The policy for an unidentified Qube, which a questionable identification needs.
     Competitor,
     /// The policy that is trained on the nominal Qube, for comparison.
     Baseline,
@@ -23,7 +23,7 @@ pub(super) enum EarlyKind {
 
 impl EarlyTraining {
     /// Returns the training that the session may need: the competitor until the identification is
-    /// without doubts or refused, or the first candidate is trained, and the baseline from the
+    /// not questionable, or refused, or the first candidate is trained, and the baseline from the
     /// verification of a policy that may be the last one until the baseline is trained or the
     /// search continues.
     pub(super) fn of(
@@ -37,7 +37,7 @@ impl EarlyTraining {
         {
             (Identification::None, _) => (EarlyKind::Competitor, count.max(plan.excitations), true),
             (identification, _)
-                if identification.is_doubted() && first.is_none_or(|it| !it.trained) =>
+                if identification.is_questionable() && first.is_none_or(|it| !it.trained) =>
             {
                 (EarlyKind::Competitor, first.map_or(count, |it| it.number), false)
             }
@@ -70,11 +70,11 @@ mod tests {
         Entry::Proposed { candidate, purpose, point, pending, policy_of: None }
     }
 
-    fn identified(doubts: &[&str]) -> Entry {
+    fn identified(missing_effects: &[&str]) -> Entry {
         Entry::Identified {
             recordings: 1,
             verdict: "fits_but".into(),
-            doubts: doubts.iter().map(ToString::to_string).collect(),
+            missing_effects: missing_effects.iter().map(ToString::to_string).collect(),
             checksum: String::new(),
         }
     }

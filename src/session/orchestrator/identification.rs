@@ -335,7 +335,7 @@ impl Session {
         found: FittedProfile,
         on_event: &mut dyn FnMut(SessionEvent),
     ) -> Result<(), SessionError> {
-        let FittedProfile { profile, recordings, verdict, doubts } = found;
+        let FittedProfile { profile, recordings, verdict, missing_effects } = found;
         let path = self.folder.paths().profile(recordings);
         let io = |error: toml::ser::Error| FolderError::Io {
             path: path.clone(),
@@ -345,9 +345,9 @@ impl Session {
         write_whole(self.folder.disk(), &path, text.as_bytes())?;
         let verdict = verdict.name().to_owned();
         let checksum = checksum_of(text.as_bytes());
-        let doubted = doubts.clone();
-        self.ledger.append(Entry::Identified { recordings, verdict, doubts, checksum })?;
-        on_event(SessionEvent::Identified { recordings, doubts: &doubted });
+        let named = missing_effects.clone();
+        self.ledger.append(Entry::Identified { recordings, verdict, missing_effects, checksum })?;
+        on_event(SessionEvent::Identified { recordings, missing_effects: &named });
         self.search_around_identified()
     }
 
@@ -374,7 +374,7 @@ impl Session {
 enum Refit {
     /// There is a new profile.
     Found,
-    /// The latest profile stays and is doubted, for this reason.
+    /// The latest profile stays and is questionable, for this reason.
     Failed(String),
     /// The latest profile stays: each recording that can be fitted was in an earlier fit.
     NothingNew,

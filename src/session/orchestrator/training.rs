@@ -43,9 +43,9 @@ struct Contest {
     is_over: bool,
 }
 
-/// Factor on the width of the simulations in which policies around a doubted identification are
-/// compared: an effect that the model lacks makes the Qube differ by more than the fit's errors.
-const DOUBTED_WIDTH: f64 = 2.0;
+/// Factor on the width of the simulations in which policies around a questionable fit are compared:
+/// an effect that the model lacks makes the Qube differ by more than the fit's errors.
+const QUESTIONABLE_WIDTH: f64 = 2.0;
 
 /// A training of a round.
 #[derive(Clone, Copy)]
@@ -96,9 +96,9 @@ impl Trainer {
     }
 
     /// The trainings of a candidate in each round. Around an identified Qube there are as many as
-    /// the settings name, and the best policy is kept. While the identification is doubted, a
+    /// the settings name, and the best policy is kept. While the identification is questionable, a
     /// policy for an unidentified Qube competes with these policies, so that no policy around a
-    /// doubtful fit is kept where the policy for an unidentified Qube is better in simulations.
+    /// questionable fit is kept where the policy for an unidentified Qube is better in simulations.
     fn trainings(&self, candidate: &Candidate) -> Vec<TrainedFor> {
         if candidate.purpose == Purpose::Baseline {
             // The baseline is only for comparison, so its training is not repeated for a better
@@ -111,7 +111,7 @@ impl Trainer {
             return vec![TrainedFor::Psi];
         };
         let mut trainings = vec![TrainedFor::Psi; plan.trainings as usize];
-        if self.identification.is_doubted() {
+        if self.identification.is_questionable() {
             trainings.push(TrainedFor::Unknown);
         }
         trainings
@@ -205,7 +205,7 @@ impl Trainer {
     }
 
     /// The training of the policy for an unidentified Qube that competes in the first round of this
-    /// candidate if the identification is doubted then.
+    /// candidate if the identification is questionable then.
     ///
     /// # Errors
     /// The distribution is invalid.
@@ -284,7 +284,7 @@ impl Trainer {
 
     /// The score of a policy of a candidate. Simulations of the identified Qube decide whether the
     /// policy succeeds. Policies are compared in the same simulations or, if the identification is
-    /// doubted, in simulations that are [`DOUBTED_WIDTH`] times as wide.
+    /// questionable, in simulations that are [`QUESTIONABLE_WIDTH`] times as wide.
     ///
     /// # Errors
     /// The base distribution cannot be simulated.
@@ -292,10 +292,10 @@ impl Trainer {
         let seed_for = SeedFor::Evaluation { candidate };
         let base = self.settings.base_distribution()?;
         let as_identified = self.simulated_from(&base, seed_for, network);
-        if !self.identification.is_doubted() {
+        if !self.identification.is_questionable() {
             return Ok(TrainingScore::of(&as_identified));
         }
-        let doubted = base.widened(DOUBTED_WIDTH, self.settings.family);
+        let doubted = base.widened(QUESTIONABLE_WIDTH, self.settings.family);
         let compared = tenth_percentile(&self.simulated_from(&doubted, seed_for, network));
         Ok(TrainingScore { scored: tenth_percentile(&as_identified), compared })
     }
@@ -356,11 +356,17 @@ mod tests {
         }
     }
 
-    /// An identification with these doubts.
-    fn found(doubts: Vec<String>) -> Identification {
+    /// An identification with these effects missing.
+    fn found(missing_effects: Vec<String>) -> Identification {
         let verdict = "fits but for".into();
         let profiles = Vec::new();
-        Identification::Found { recordings: 1, verdict, doubts, profiles, failed_refit: None }
+        Identification::Found {
+            recordings: 1,
+            verdict,
+            missing_effects,
+            profiles,
+            failed_refit: None,
+        }
     }
 
     fn shipped_network() -> Network {
@@ -390,7 +396,8 @@ mod tests {
         let settings = SessionSettings { identification: Some(plan), ..SessionSettings::quick() };
         let settings = settings.around(&plan, &Profile::lab(), &Profile::lab());
         let network = shipped_network();
-        let score = |doubts| trainer(settings.clone(), found(doubts)).score(1, &network);
+        let score =
+            |missing_effects| trainer(settings.clone(), found(missing_effects)).score(1, &network);
         let undoubted = score(Vec::new()).unwrap();
         let doubted = score(vec!["play".into()]).unwrap();
         assert_eq!(undoubted.compared, undoubted.scored);
@@ -460,11 +467,11 @@ mod tests {
         assert_ne!(first.point, later.point);
         let failed = Some(FailedRefit { recordings: 3, reason: "it does not fit".into() });
         let since_failed = match found(Vec::new()) {
-            Identification::Found { recordings, verdict, doubts, profiles, .. } => {
+            Identification::Found { recordings, verdict, missing_effects, profiles, .. } => {
                 Identification::Found {
                     recordings,
                     verdict,
-                    doubts,
+                    missing_effects,
                     profiles,
                     failed_refit: failed,
                 }
