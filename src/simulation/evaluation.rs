@@ -31,15 +31,6 @@ impl Evaluation {
     pub fn mean_return(&self) -> f64 {
         self.returns.iter().sum::<f64>() / self.returns.len() as f64
     }
-
-    /// The standard deviation of the returns, with the number of trajectories in the denominator;
-    /// NaN if there are none.
-    #[must_use]
-    pub fn return_standard_deviation(&self) -> f64 {
-        let mean = self.mean_return();
-        let squares: f64 = self.returns.iter().map(|r| (r - mean) * (r - mean)).sum();
-        (squares / self.returns.len() as f64).sqrt()
-    }
 }
 
 /// Runs an actor through the trajectories 0 to `starts` - 1 of a seed, each to its end, and sums
@@ -155,9 +146,8 @@ mod tests {
     }
 
     #[test]
-    fn mean_and_deviation_are_over_trajectories() {
+    fn the_mean_is_over_trajectories() {
         let evaluation = Evaluation { returns: vec![1.0, 3.0], steps: vec![600, 600] };
         assert_eq!(evaluation.mean_return(), 2.0);
-        assert_eq!(evaluation.return_standard_deviation(), 1.0);
     }
 }
