@@ -30,13 +30,10 @@ use crate::storage::Existing;
 /// names its plant; a .csv is taken to be of --plant, else of the plant of the recordings before
 /// it, else of the Qube. The result is a profile, which --profile reads: `train`, `replay` and
 /// `report` simulate that Qube, and `run`, `session`, `experiment` and `emulate` emulate it. For a
-/// real Qube, name the profile in its qube.toml. Verify a profile with recordings that it was not
-/// fitted to (--holdout): every 0.1 s a start state is estimated from 0.2 s of the recording, and
-/// the model then receives only the voltages. The cable's rest angle comes from the fitted recordings
-/// of the same series; the names of a series differ in the last number only. A recording whose
-/// pendulum comes upright is predicted piece by piece: 0.5 s of its swing, from a start state that
-/// is estimated from 0.05 s of the recording, and 0.1 s of its balance. Recordings that are too short, or in which too little
-/// moves, are named and not used.
+/// real Qube, name the profile in its qube.toml.
+///
+/// Verify a profile with recordings that it was not fitted to (--holdout). Recordings that are too
+/// short, or in which too little moves, are named and not used.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil identify chirp-[12].mcap --holdout chirp-3.mcap --out mine.toml\n  \

@@ -71,7 +71,7 @@ impl BayRn {
 
     /// The largest expected improvement of one more point, maximised over the box: the expectation
     /// of the amount, at least 0, by which the point's true return exceeds the best return so far.
-    /// That is `known` if it is given, and otherwise the largest true return at a point of the
+    /// The best return so far is `known`; without it, the largest true return at a point of the
     /// data.
     ///
     /// # Errors
