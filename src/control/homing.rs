@@ -12,7 +12,7 @@ use super::voltage_watch::VoltageWatch;
 use super::watch::{Alarm, Watch, most_urgent};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, MeasuredRig, MeasuredStops};
-use crate::qube::{Encoder, Encoders, Measurement, State};
+use crate::qube::{Measurement, State};
 use crate::safety::clamp_to_mv;
 use crate::telemetry::{Ending, Fault, TickRules};
 
@@ -188,12 +188,8 @@ impl Homing {
         let is_other = off_rad > OTHER_ZERO_COUNTS * rad_per_count;
         self.hanging_rad = hanging_rad;
         if is_other || self.sensors.cross_check().is_none() {
-            let off_counts = (hanging_rad / rad_per_count).round() as i32;
-            let inverted = self.provisional.alpha_inverted;
-            let zero = self.provisional.alpha_zero_counts;
-            let off_counts = if inverted { -off_counts } else { off_counts };
             let calibration = Calibration {
-                alpha_zero_counts: zero.wrapping_add(off_counts),
+                alpha_zero_counts: self.provisional.alpha_counts_at(hanging_rad),
                 ..self.provisional
             };
             self.sensors.start_cross_check(calibration, within_rad);
@@ -324,27 +320,8 @@ impl Homing {
         let offset_rad = self.settings.theta_offset_rad;
         let off_zero_rad = off_middle_rad - offset_rad;
         let off_hanging_rad = self.state.alpha - self.hanging_rad;
-        let Encoders { theta, alpha } = self.settings.plant.encoders;
-        let back = |encoder: Encoder, counts: i32, off_rad: f64, inverted: bool| {
-            let off_counts = (off_rad / encoder.rad_per_count()).round() as i32;
-            counts.wrapping_sub(if inverted { -off_counts } else { off_counts })
-        };
         let signs = &self.settings.signs;
-        let calibration = Calibration {
-            theta_zero_counts: back(
-                theta,
-                measurement.theta_counts,
-                off_zero_rad,
-                signs.theta_inverted,
-            ),
-            alpha_zero_counts: back(
-                alpha,
-                measurement.alpha_counts,
-                off_hanging_rad,
-                signs.alpha_inverted,
-            ),
-            ..*signs
-        };
+        let calibration = signs.with_zeros_behind(measurement, off_zero_rad, off_hanging_rad);
         let zero_rad = self.calm_rad() + offset_rad;
         let stops_rad = self.stops_rad.or_else(|| self.stops_by_hand_rad());
         let stops = stops_rad.map(|(lowest_rad, highest_rad)| MeasuredStops {

@@ -316,9 +316,9 @@ impl SensorWatch {
     ) -> Option<Alarm> {
         if let (Some((calibration, _)), Some(arm_input)) = (&self.cross_check, arm_input) {
             let (_, alpha) = calibration.angles_rad(sample);
-            let sign = if calibration.voltage_inverted { -1.0 } else { 1.0 };
             let voltage_v = f64::from(arm_input.voltage_mv) * 1e-3;
-            if self.momentum.is_frozen(sample, alpha, voltage_v, sign * sample.current_a) {
+            let current_a = calibration.current_a(sample);
+            if self.momentum.is_frozen(sample, alpha, voltage_v, current_a) {
                 return Some(Alarm::SwitchOff(Fault::EncoderFrozen));
             }
         }

@@ -60,12 +60,49 @@ impl Calibration {
     /// The arm encoder's count that is nearest to an angle, rad.
     #[must_use]
     pub fn theta_counts_at(&self, theta_rad: f64) -> i32 {
-        let off_counts = (theta_rad / self.encoders.theta.rad_per_count()).round() as i32;
-        self.theta_zero_counts.wrapping_add(if self.theta_inverted {
-            -off_counts
-        } else {
-            off_counts
-        })
+        let off_counts = nearest_counts(self.encoders.theta, theta_rad, self.theta_inverted);
+        self.theta_zero_counts.wrapping_add(off_counts)
+    }
+
+    /// The pendulum encoder's count that is nearest to an angle, rad.
+    #[must_use]
+    pub fn alpha_counts_at(&self, alpha_rad: f64) -> i32 {
+        let off_counts = nearest_counts(self.encoders.alpha, alpha_rad, self.alpha_inverted);
+        self.alpha_zero_counts.wrapping_add(off_counts)
+    }
+
+    /// This calibration with the zeros from which the arm is `off_theta_rad` and the pendulum
+    /// `off_alpha_rad` away in this measurement, rad.
+    #[must_use]
+    pub fn with_zeros_behind(
+        &self,
+        measurement: &Measurement,
+        off_theta_rad: f64,
+        off_alpha_rad: f64,
+    ) -> Self {
+        let Encoders { theta, alpha } = self.encoders;
+        let theta_counts = nearest_counts(theta, off_theta_rad, self.theta_inverted);
+        let alpha_counts = nearest_counts(alpha, off_alpha_rad, self.alpha_inverted);
+        Self {
+            theta_zero_counts: measurement.theta_counts.wrapping_sub(theta_counts),
+            alpha_zero_counts: measurement.alpha_counts.wrapping_sub(alpha_counts),
+            ..*self
+        }
+    }
+
+    /// This calibration with the pendulum's zero moved by whole turns, positive towards positive
+    /// alpha.
+    #[must_use]
+    pub fn with_alpha_zero_turned(&self, turns: i32) -> Self {
+        let turns_counts = turns * self.encoders.alpha.counts_per_revolution();
+        let moved_counts = if self.alpha_inverted { -turns_counts } else { turns_counts };
+        Self { alpha_zero_counts: self.alpha_zero_counts.wrapping_add(moved_counts), ..*self }
+    }
+
+    /// The motor's current, A, whose positive sign turns the arm towards positive theta.
+    #[must_use]
+    pub fn current_a(&self, measurement: &Measurement) -> f32 {
+        if self.voltage_inverted { -measurement.current_a } else { measurement.current_a }
     }
 
     /// The voltage to send to the device, mV, for a voltage whose positive sign turns the arm
@@ -74,6 +111,13 @@ impl Calibration {
     pub fn device_mv(&self, voltage_mv: i16) -> i16 {
         if self.voltage_inverted { voltage_mv.saturating_neg() } else { voltage_mv }
     }
+}
+
+/// The counts by which an encoder changes while it turns by an angle, rad, rounded to the nearest
+/// count; `inverted` if it counts down while the angle grows.
+fn nearest_counts(encoder: Encoder, angle_rad: f64, inverted: bool) -> i32 {
+    let counts = (angle_rad / encoder.rad_per_count()).round() as i32;
+    if inverted { -counts } else { counts }
 }
 
 #[cfg(test)]
@@ -100,19 +144,50 @@ mod tests {
         }
     }
 
+    /// Calibrations with zeros other than 0, without inverted signs and with all of them.
+    fn either_way_round() -> [Calibration; 2] {
+        [false, true].map(|inverted| Calibration {
+            theta_zero_counts: 700,
+            alpha_zero_counts: -300,
+            theta_inverted: inverted,
+            alpha_inverted: inverted,
+            voltage_inverted: inverted,
+            ..Calibration::IDENTITY
+        })
+    }
+
     #[test]
-    fn counts_and_angles_of_the_arm_agree_either_way_round() {
-        for theta_inverted in [false, true] {
-            let calibration =
-                Calibration { theta_zero_counts: 700, theta_inverted, ..Calibration::IDENTITY };
-            for theta_rad in [-1.0, 0.0, 0.3] {
+    fn counts_and_angles_agree_either_way_round() {
+        let is_near = |a_rad: f64, b_rad: f64| (a_rad - b_rad).abs() <= 0.5 * RAD_PER_COUNT + 1e-12;
+        for calibration in either_way_round() {
+            for (theta_rad, alpha_rad) in [(-1.0, 0.7), (0.0, 0.0), (0.3, -4.0)] {
                 let measurement = Measurement {
                     theta_counts: calibration.theta_counts_at(theta_rad),
+                    alpha_counts: calibration.alpha_counts_at(alpha_rad),
                     ..Measurement::default()
                 };
-                let (back_rad, _) = calibration.angles_rad(&measurement);
-                assert!((back_rad - theta_rad).abs() <= 0.5 * RAD_PER_COUNT + 1e-12);
+                let (theta, alpha) = calibration.angles_rad(&measurement);
+                assert!(is_near(theta, theta_rad) && is_near(alpha, alpha_rad));
+                // The same zeros follow from the measurement and the angles.
+                let signs =
+                    Calibration { theta_zero_counts: 0, alpha_zero_counts: 0, ..calibration };
+                let found = signs.with_zeros_behind(&measurement, theta_rad, alpha_rad);
+                assert_eq!(found, calibration);
             }
+        }
+    }
+
+    #[test]
+    fn a_turned_zero_takes_whole_turns_from_alpha_and_the_current_has_the_voltages_sign() {
+        for calibration in either_way_round() {
+            let measurement =
+                Measurement { alpha_counts: 5000, current_a: 0.1, ..Measurement::default() };
+            let turned = calibration.with_alpha_zero_turned(2);
+            let before_rad = calibration.angles_rad(&measurement).1;
+            let after_rad = turned.angles_rad(&measurement).1;
+            assert!((before_rad - after_rad - 4.0 * std::f64::consts::PI).abs() < 1e-12);
+            let is_positive = calibration.current_a(&measurement) > 0.0;
+            assert_eq!(is_positive, calibration.device_mv(1000) > 0);
         }
     }
 }

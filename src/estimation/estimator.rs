@@ -91,12 +91,11 @@ impl Estimator {
         };
         let alpha = estimates.guarded.alpha;
         let turns = ((alpha - wrap_angle(alpha)) / (2.0 * PI)).round();
+        let turns = turns as i32;
         let encoder = self.calibration.encoders.alpha;
-        let turns_counts = turns as i32 * encoder.counts_per_revolution();
-        let moved = if self.calibration.alpha_inverted { -turns_counts } else { turns_counts };
-        self.calibration.alpha_zero_counts = self.calibration.alpha_zero_counts.wrapping_add(moved);
+        self.calibration = self.calibration.with_alpha_zero_turned(turns);
         // The previous angle moves with the zero, so that the next difference has no jump.
-        let by_rad = -encoder.angle_rad(turns_counts);
+        let by_rad = -encoder.angle_rad(turns * encoder.counts_per_revolution());
         estimates.guarded.alpha += by_rad;
         estimates.seen.alpha += by_rad;
         if let Some(observer) = &mut self.observer {
