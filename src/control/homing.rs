@@ -362,10 +362,6 @@ impl Homing {
         }
     }
 
-    fn output(&self, wanted_v: Option<f64>, ending: Option<Ending>) -> TickOutput {
-        TickOutput { wanted_v, ending, ..TickOutput::settling(self.state, self.voltage_mv) }
-    }
-
     /// Switches the amplifier off. A fault that was found before the arm was led off a stop stays
     /// the ending, unless another fault that leaves a doubt follows.
     fn off(&mut self, ending: Ending) -> TickOutput {
@@ -380,7 +376,7 @@ impl Homing {
             Ending::Completed | Ending::LeftBox(_) => ControlEvent::Homed,
         });
         self.voltage_mv = 0;
-        self.output(None, Some(ending))
+        TickOutput::outside_rollout(self.state, 0, None, Some(ending))
     }
 
     /// The fault that encoders and motor show together, if any.
@@ -432,7 +428,7 @@ impl Motion for Homing {
             return self.off(Ending::Fault(fault));
         }
         let Some(measurement) = &input.measurement else {
-            return self.output(None, None);
+            return TickOutput::outside_rollout(self.state, self.voltage_mv, None, None);
         };
         self.state = self.estimate(measurement);
         if self.control == ControlState::Resting {
@@ -453,7 +449,7 @@ impl Motion for Homing {
         let wanted_v = self.wanted_voltage();
         let largest_v = self.settings.plant.limits.largest_voltage_v;
         self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
-        self.output(Some(wanted_v), None)
+        TickOutput::outside_rollout(self.state, self.voltage_mv, Some(wanted_v), None)
     }
 
     fn control_state(&self) -> ControlState {

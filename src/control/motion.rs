@@ -46,16 +46,23 @@ pub struct TickOutput {
 }
 
 impl TickOutput {
-    /// The output of a motion other than a rollout, for a tick that keeps `voltage_mv`, mV, has no
-    /// wanted voltage and does not end the motion.
-    pub fn settling(state: State, voltage_mv: i16) -> Self {
+    /// The output of a motion other than a rollout, which has no phases: it always counts as
+    /// settling, and one state serves all purposes. `voltage_mv` is the voltage to send, mV,
+    /// `wanted_v` the requested one, V, if the tick requested one, and `ending` the motion's ending
+    /// if it ends.
+    pub fn outside_rollout(
+        state: State,
+        voltage_mv: i16,
+        wanted_v: Option<f64>,
+        ending: Option<Ending>,
+    ) -> Self {
         Self {
             phase: Phase::Settling,
             state,
             heating_theta_dot_rad_s: state.theta_dot,
-            wanted_v: None,
+            wanted_v,
             voltage_mv,
-            ending: None,
+            ending,
         }
     }
 }

@@ -304,13 +304,9 @@ impl SignProbe {
         (self.stage, self.ticks) = (next, 0);
     }
 
-    fn output(&self, wanted_v: Option<f64>, ending: Option<Ending>) -> TickOutput {
-        TickOutput { wanted_v, ending, ..TickOutput::settling(self.state, self.voltage_mv) }
-    }
-
     fn off(&mut self, ending: Ending) -> TickOutput {
         self.voltage_mv = 0;
-        self.output(None, Some(ending))
+        TickOutput::outside_rollout(self.state, 0, None, Some(ending))
     }
 }
 
@@ -326,7 +322,7 @@ impl Motion for SignProbe {
         let Some(measurement) = &input.measurement else {
             self.ticks += 1;
             self.all_ticks += 1;
-            return self.output(None, None);
+            return TickOutput::outside_rollout(self.state, self.voltage_mv, None, None);
         };
         self.state = self.estimator.update(measurement).guarded;
         self.trace.push(ProbeSample {
@@ -352,7 +348,7 @@ impl Motion for SignProbe {
         self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
         self.ticks += 1;
         self.all_ticks += 1;
-        self.output(Some(wanted_v), None)
+        TickOutput::outside_rollout(self.state, self.voltage_mv, Some(wanted_v), None)
     }
 
     /// Always [`ControlState::Checking`], because a probe is part of an examination.

@@ -153,13 +153,9 @@ impl StopPress {
         false
     }
 
-    fn output(&self, wanted_v: Option<f64>, ending: Option<Ending>) -> TickOutput {
-        TickOutput { wanted_v, ending, ..TickOutput::settling(self.state, self.voltage_mv) }
-    }
-
     fn off(&mut self, ending: Ending) -> TickOutput {
         self.voltage_mv = 0;
-        self.output(None, Some(ending))
+        TickOutput::outside_rollout(self.state, 0, None, Some(ending))
     }
 }
 
@@ -175,7 +171,7 @@ impl Motion for StopPress {
             return self.off(Ending::Stopped);
         }
         let Some(measurement) = &input.measurement else {
-            return self.output(None, None);
+            return TickOutput::outside_rollout(self.state, self.voltage_mv, None, None);
         };
         self.state = self.estimator.update(measurement).guarded;
         if self.update() || self.ticks > self.most_ticks {
@@ -184,7 +180,7 @@ impl Motion for StopPress {
         let wanted_v = self.outward * self.push_v;
         let largest_v = self.plant.limits.largest_voltage_v;
         self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
-        self.output(Some(wanted_v), None)
+        TickOutput::outside_rollout(self.state, self.voltage_mv, Some(wanted_v), None)
     }
 
     /// Always [`ControlState::Checking`], because a press is part of a check.

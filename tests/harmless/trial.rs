@@ -122,7 +122,7 @@ impl Motion for Watched<'_, &mut dyn Motion> {
             && now_s >= from_s
         {
             let ending = (now_s >= until_s).then_some(Ending::Stopped);
-            return TickOutput { ending, ..TickOutput::settling(State::default(), 0) };
+            return TickOutput::outside_rollout(State::default(), 0, None, ending);
         }
         self.motion.decide(input)
     }

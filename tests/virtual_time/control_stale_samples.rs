@@ -107,7 +107,7 @@ impl Motion for Constant {
         self.ticks += 1;
         self.seen.extend(input.measurement);
         let ending = (self.ticks == TICKS).then_some(Ending::Completed);
-        TickOutput { ending, ..TickOutput::settling(State::default(), 200) }
+        TickOutput::outside_rollout(State::default(), 200, None, ending)
     }
 
     fn control_state(&self) -> ControlState {
