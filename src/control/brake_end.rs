@@ -65,7 +65,7 @@ impl BrakeEnd {
         let hard_stop_rad = settings.plant.limits.hard_stop_rad;
         let nearer_rad = settings.stops.map_or(hard_stop_rad, |stops| stops.nearer_rad());
         let room_rad = (hard_stop_rad - STOPS_MEASURED_WITHIN_RAD - nearer_rad).max(0.0);
-        let centred = if settings.rules >= TickRules::CrossChecked {
+        let centred = if settings.rules.rests_off_stops() {
             CentredDetector::off_stops(hard_stop_rad - room_rad)
         } else {
             CentredDetector::default()
@@ -94,7 +94,7 @@ impl BrakeEnd {
             }
         };
         let time_is_up = periods >= most_ticks;
-        let is_still_fast = self.rules >= TickRules::VoltageCompared
+        let is_still_fast = self.rules.tests_braked_speed()
             && periods >= SURELY_BRAKED_TICKS
             && speed_rad_s > STILL_FAST_RAD_S;
         let is_runaway = !is_at_rest && time_is_up && speed_rad_s > RUNAWAY_RAD_S;

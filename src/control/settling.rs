@@ -187,11 +187,11 @@ impl GentleSettler {
     /// the voltage with the full gains, V.
     fn share_and_trim_rate(&mut self, full_v: f64) -> (f64, f64) {
         let of_time = f64::from(FULL_GAIN_TICKS) / f64::from(self.ticks.max(FULL_GAIN_TICKS));
-        if self.rules >= TickRules::SettlingGainReducing {
+        if self.rules.reduces_gain_of_settling() {
             let share = (of_time * self.oscillation.update(full_v)).max(LEAST_SHARE);
             // A trim that does not slow down with the gains would swing the arm back and forth.
             (share, share * TRIM_RATE)
-        } else if self.rules >= TickRules::AlternatingAllowed {
+        } else if self.rules.slows_long_settling() {
             (of_time, TRIM_RATE)
         } else {
             (1.0, TRIM_RATE)

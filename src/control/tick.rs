@@ -81,19 +81,22 @@ impl<C: Controller> Tick<C> {
     #[must_use]
     pub fn new(settings: &TickSettings, policy: C) -> Self {
         let plant = &settings.plant;
-        let cross_checks = settings.rules >= TickRules::CrossChecked;
         let mut tick = Self {
             settings: *settings,
             policy,
             estimator: Estimator::new(settings.estimator, settings.calibration),
-            watch: if cross_checks { Watch::default() } else { Watch::of_the_first_rules() },
+            watch: if settings.rules.compares_clocks() {
+                Watch::default()
+            } else {
+                Watch::of_the_first_rules()
+            },
             slowness: SlownessWatch::default(),
             voltage: VoltageWatch::default(),
             sensors: sensor_watch(settings),
             asking: None,
             settler: Settler::of(plant),
             gentle: GentleSettler::of(plant, settings.rules),
-            rest: if settings.rules >= TickRules::RestByEncoders {
+            rest: if settings.rules.rests_by_encoders() {
                 RestDetector::of(plant.encoders)
             } else {
                 RestDetector::default()
@@ -145,7 +148,7 @@ impl<C: Controller> Tick<C> {
         let before = self.control;
         let action = self.control.take(event);
         if self.control != before {
-            let goes_on_braking = self.settings.rules >= TickRules::FaultsFirst
+            let goes_on_braking = self.settings.rules.keeps_braking_time()
                 && (before, self.control) == (ControlState::Braking, ControlState::Faulting);
             if !goes_on_braking {
                 self.periods_in_phase = 0;
@@ -229,11 +232,11 @@ impl<C: Controller> Tick<C> {
         let unanswered = sample.and_then(|sample| self.unanswered(sample));
         let voltage = self.voltage_differs(input);
         let is_slow = self.slowness.is_too_slow(input.skipped_periods)
-            && self.settings.rules >= TickRules::SlownessTested;
+            && self.settings.rules.tests_slowness();
         let slow = is_slow.then_some(Alarm::Brake(Fault::TooLate));
         let link = self.watch.check(input).or(slow);
         let alarms = [link, voltage, sensors, unanswered];
-        if self.settings.rules >= TickRules::FaultsFirst {
+        if self.settings.rules.reports_most_urgent() {
             most_urgent(alarms)
         } else {
             alarms.into_iter().flatten().next()
@@ -256,7 +259,7 @@ impl<C: Controller> Tick<C> {
                 self.take(ControlEvent::SwitchOffFault, self.reason)
             }
             Alarm::SwitchOff(fault) => {
-                let is_kept = self.settings.rules >= TickRules::DoubtKept
+                let is_kept = self.settings.rules.keeps_doubts()
                     && self.latched_fault().is_some_and(Fault::leaves_doubt)
                     && !fault.leaves_doubt();
                 let reason = if is_kept { self.reason } else { Ending::Fault(fault) };
@@ -281,15 +284,18 @@ impl<C: Controller> Tick<C> {
     /// The count may be right although a test doubts it; with the motor off, a moving arm would
     /// then coast into its stop. For an arm at rest the brake gives 0 V anyway.
     fn may_damp(&self) -> bool {
-        let since =
-            if self.phase == Phase::Settling { TickRules::GainReducing } else { TickRules::Damped };
-        self.settings.rules >= since
+        let rules = self.settings.rules;
+        if self.phase == Phase::Settling {
+            rules.damps_while_settling()
+        } else {
+            rules.damps_doubted_count()
+        }
     }
 
     /// Returns whether this fault is the reason why box or foresight began to brake. A step of the
     /// pendulum's count is known to be a jump only one sample later.
     fn explains_brake(&self, fault: Fault) -> bool {
-        self.settings.rules >= TickRules::DriftTested
+        self.settings.rules.explains_brake_by_jump()
             && fault == Fault::PendulumJump
             && self.phase == Phase::Braking
             && self.periods_in_phase <= JUMP_KNOWN_TICKS
@@ -300,7 +306,7 @@ impl<C: Controller> Tick<C> {
     /// [`TickRules::SlownessTested`] on, while the policy runs and while the arm is braked because
     /// of the motor's load.
     fn is_limited_by_motor(&self) -> bool {
-        self.settings.rules >= TickRules::SlownessTested
+        self.settings.rules.limits_by_motor()
             && (self.phase == Phase::Running
                 || (self.phase == Phase::Braking
                     && self.reason == Ending::LeftBox(Limit::MotorLoad)))
@@ -324,7 +330,7 @@ impl<C: Controller> Tick<C> {
         match self.phase {
             Phase::Settling => {
                 let (state, target) = (&self.estimates.guarded, self.settings.start_theta_rad);
-                if self.settings.rules >= TickRules::CrossChecked {
+                if self.settings.rules.settles_gently() {
                     self.gentle.voltage(state, target)
                 } else {
                     self.settler.voltage(state, target)
@@ -350,7 +356,7 @@ impl<C: Controller> Tick<C> {
     /// doubted.
     fn braking_voltage(&mut self) -> f64 {
         let wanted_v = self.brake.voltage_v(&self.estimates.guarded);
-        if self.settings.rules < TickRules::BrakeSimulating || self.damps {
+        if !self.settings.rules.simulates_brake() || self.damps {
             return wanted_v;
         }
         if let Some(foresight) = &mut self.foresight {
@@ -376,7 +382,7 @@ impl<C: Controller> Tick<C> {
     /// The alarm for a motor that has another voltage than it was sent, if there is one.
     fn voltage_differs(&mut self, input: &TickInput) -> Option<Alarm> {
         let differs = self.voltage.watch(self.device_mv(self.voltage_mv), input);
-        differs.filter(|_| self.settings.rules >= TickRules::VoltageCompared)
+        differs.filter(|_| self.settings.rules.compares_voltages())
     }
 
     /// The contradiction between the Qube's last motion and the profile that foresight simulates,
@@ -422,7 +428,7 @@ impl<C: Controller> Tick<C> {
 
     fn output(&self) -> TickOutput {
         let Estimates { seen, guarded } = self.estimates;
-        let by_guard = self.settings.rules >= TickRules::HeatByGuardedSpeed;
+        let by_guard = self.settings.rules.heats_by_guarded_speed();
         TickOutput {
             phase: self.phase,
             state: seen,
@@ -449,29 +455,25 @@ fn damping_brake(settings: &TickSettings) -> Brake {
 }
 
 fn by_rules(brake: Brake, rules: TickRules) -> Brake {
-    if rules >= TickRules::GainReducing { brake } else { brake.by_earlier_rules() }
+    if rules.reduces_gain_of_brake() { brake } else { brake.by_earlier_rules() }
 }
 
 fn sensor_watch(settings: &TickSettings) -> SensorWatch {
-    let watch = if settings.rules >= TickRules::CrossChecked {
+    let watch = if settings.rules.cross_checks_encoders() {
         SensorWatch::with_cross_check(&settings.plant, settings.calibration)
     } else {
         SensorWatch::of(&settings.plant)
     };
-    let tests_drift = settings.rules >= TickRules::DriftTested;
-    let watch = if tests_drift { watch } else { watch.without_drift_test() };
-    let allows = settings.rules >= TickRules::AlternatingAllowed;
-    if allows { watch } else { watch.by_earlier_rules() }
+    let watch = if settings.rules.tests_drift() { watch } else { watch.without_drift_test() };
+    if settings.rules.allows_alternating() { watch } else { watch.by_earlier_rules() }
 }
 
 /// The test of an arm with a constant count; `None` under [`TickRules::First`].
 fn asking_push(settings: &TickSettings) -> Option<AskingPush> {
+    let rules = settings.rules;
     let asking = AskingPush::of(&settings.plant);
-    match settings.rules {
-        TickRules::First => None,
-        rules if rules < TickRules::AlternatingAllowed => Some(asking.by_earlier_rules()),
-        _ => Some(asking),
-    }
+    let asking = if rules.allows_alternating() { asking } else { asking.by_earlier_rules() };
+    rules.pushes_constant_arm().then_some(asking)
 }
 
 impl<C: Controller> Motion for Tick<C> {
@@ -499,7 +501,7 @@ impl<C: Controller> Motion for Tick<C> {
         };
         self.estimates = self.estimator.update(measurement);
         let periods = std::mem::take(&mut self.periods_without_sample);
-        if self.settings.rules >= TickRules::BrakeSimulating
+        if self.settings.rules.ages_velocities()
             && let Some(foresight) = &mut self.foresight
         {
             foresight.sampled_after(periods);

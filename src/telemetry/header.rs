@@ -3,7 +3,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{DeviceFacts, Fault, LatencySummary, Phase, Preflight};
+use super::{DeviceFacts, Fault, LatencySummary, Phase, Preflight, TickRules};
 use crate::estimation::{Calibration, EstimatorSettings, MeasuredStops};
 use crate::qube::{PlantModel, RewardWeights};
 use crate::safety::{Contradiction, Foreseen, ForesightSettings, Limit, MotorHeat, SafetyBox};
@@ -38,65 +38,6 @@ pub struct TickSettings {
     /// Plant that is driven; recordings that name no plant are of the built-in Qube.
     #[serde(default, skip_serializing_if = "PlantModel::is_qube")]
     pub plant: PlantModel,
-}
-
-/// The versions of the tick's rules for settling, watching and braking, from the oldest to the
-/// newest. Each version has the rules of the version before it, with the additions and changes that
-/// its entry names. A recording names its version, so that its replay follows the same rules.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TickRules {
-    /// The rules without the additions of the later versions; recordings that name no rules follow
-    /// this version.
-    #[default]
-    First,
-    /// Checks the two encoders against each other, settles gently, and lets a braked arm come to
-    /// rest anywhere that is not near a stop.
-    #[serde(rename = "witnessed")]
-    CrossChecked,
-    /// Before the motor goes off, damps an arm whose count comes into doubt under a policy or while
-    /// it is braked.
-    Damped,
-    /// Reduces the gain of a brake that oscillates, and damps an arm whose count is in doubt also
-    /// while it settles.
-    #[serde(rename = "yielding")]
-    GainReducing,
-    /// Lets foresight simulate each voltage of the brake before it is sent, and take into account
-    /// how old a velocity is after lost samples.
-    #[serde(rename = "tried")]
-    BrakeSimulating,
-    /// Reports a fault of the arm before an overheated motor or a late computer in the same tick,
-    /// and gives an arm that comes into doubt while it is braked no more time to stop.
-    FaultsFirst,
-    /// Takes into account, in the tests for a frozen encoder, a held arm and a dead motor, a
-    /// voltage that alternates between two samples, and the pendulum's load while the count was
-    /// constant; reduces the gain of settling after 4 s.
-    AlternatingAllowed,
-    /// Reduces the gains of settling that oscillates, to a fifth at the least, and lets the trim of
-    /// settling grow more slowly where the gains have fallen.
-    SettlingGainReducing,
-    /// Lets encoders with fewer counts than a Qube's flicker by one count at rest.
-    RestByEncoders,
-    /// Computes the motor's heat from the speed that the guard sees, and not from the speed that
-    /// the policy sees.
-    HeatByGuardedSpeed,
-    /// Adds the faults of an arm's count that drifts away from the tachometer, and of a jump of the
-    /// pendulum's count for which the guard has begun to brake.
-    DriftTested,
-    /// Adds the fault of a computer that skips control periods again and again. A policy that
-    /// overheats the motor ends with [`Ending::LeftBox`] instead of a fault.
-    SlownessTested,
-    /// Adds the faults of a device that reports another voltage at its motor than it was sent, and
-    /// of an arm that is fast after a second of braking.
-    VoltageCompared,
-    /// Keeps a fault that leaves a doubt as the ending if another fault, which leaves none, switches
-    /// the motor off while the arm is still damped or braked.
-    DoubtKept,
-}
-
-impl TickRules {
-    /// The rules of this program.
-    pub const NEWEST: Self = Self::DoubtKept;
 }
 
 /// The record that precedes a rollout.

@@ -17,10 +17,12 @@ mod header;
 mod latency_summary;
 mod preflight;
 mod record;
+mod tick_rules;
 
 pub use device_facts::DeviceFacts;
 pub use fault::{Consequence, Fault, MotorState, fault_table};
-pub use header::{Ending, RolloutHeader, RolloutOutcome, TickRules, TickSettings};
+pub use header::{Ending, RolloutHeader, RolloutOutcome, TickSettings};
 pub use latency_summary::LatencySummary;
 pub use preflight::{CheckResult, CheckVerdict, Hint, MeasuredLink, Preflight};
 pub use record::{Phase, TickRecord};
+pub use tick_rules::TickRules;
