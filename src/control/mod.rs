@@ -73,6 +73,7 @@ mod push;
 mod reconnect;
 mod rest;
 mod rest_watch;
+mod rules_of_recordings;
 mod sensor_watch;
 mod settling;
 mod sign_probe;

@@ -2,6 +2,9 @@ use super::asking_push::AskingPush;
 use super::brake_end::{ArmAfterBrake, BrakeEnd, BrakeKind};
 use super::push::ArmInput;
 use super::rest::RestDetector;
+use super::rules_of_recordings::{
+    asking_push, brake_of, damping_brake, rest_detector, sensor_watch, watch,
+};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
 use super::slowness::SlownessWatch;
@@ -16,7 +19,7 @@ use crate::safety::{
     Brake, Contradiction, Foreseen, ForeseenAngle, ForesightSettings, Guard, Limit,
     TrustedForesight, clamp_to_mv,
 };
-use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
+use crate::telemetry::{Ending, Fault, Phase, TickSettings};
 
 /// Most ticks for settling: 15 s. Settling takes less from any state in which a rollout may end.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
@@ -43,7 +46,7 @@ pub struct Tick<C = Policy> {
     voltage: VoltageWatch,
     sensors: SensorWatch,
     /// Push that tests whether an arm with a constant count can move; `None` before the policy runs
-    /// and under [`TickRules::First`].
+    /// and under [`TickRules::First`](crate::telemetry::TickRules::First).
     asking: Option<AskingPush>,
     settler: Settler,
     gentle: GentleSettler,
@@ -85,22 +88,14 @@ impl<C: Controller> Tick<C> {
             settings: *settings,
             policy,
             estimator: Estimator::new(settings.estimator, settings.calibration),
-            watch: if settings.rules.compares_clocks() {
-                Watch::default()
-            } else {
-                Watch::of_the_first_rules()
-            },
+            watch: watch(settings.rules),
             slowness: SlownessWatch::default(),
             voltage: VoltageWatch::default(),
             sensors: sensor_watch(settings),
             asking: None,
             settler: Settler::of(plant),
             gentle: GentleSettler::of(plant, settings.rules),
-            rest: if settings.rules.rests_by_encoders() {
-                RestDetector::of(plant.encoders)
-            } else {
-                RestDetector::default()
-            },
+            rest: rest_detector(settings),
             brake_end: BrakeEnd::of(settings),
             control: ControlState::Ready,
             phase: Phase::Settling,
@@ -303,8 +298,8 @@ impl<C: Controller> Tick<C> {
     }
 
     /// Returns whether an overheated motor counts as an exceeded limit and not as a fault: from
-    /// [`TickRules::SlownessTested`] on, while the policy runs and while the arm is braked because
-    /// of the motor's load.
+    /// [`TickRules::SlownessTested`](crate::telemetry::TickRules::SlownessTested) on, while the
+    /// policy runs and while the arm is braked because of the motor's load.
     fn is_limited_by_motor(&self) -> bool {
         self.settings.rules.limits_by_motor()
             && (self.phase == Phase::Running
@@ -352,8 +347,8 @@ impl<C: Controller> Tick<C> {
     /// simulation assumes that the velocity is as exact as without lost samples. With the larger
     /// error of a velocity after lost samples, no share would pass when the test matters most. If
     /// no share passes, the brake's full voltage is returned. It is also returned under the rules
-    /// before [`TickRules::BrakeSimulating`], without foresight, and while the arm's count is
-    /// doubted.
+    /// before [`TickRules::BrakeSimulating`](crate::telemetry::TickRules::BrakeSimulating), without
+    /// foresight, and while the arm's count is doubted.
     fn braking_voltage(&mut self) -> f64 {
         let wanted_v = self.brake.voltage_v(&self.estimates.guarded);
         if !self.settings.rules.simulates_brake() || self.damps {
@@ -438,42 +433,6 @@ impl<C: Controller> Tick<C> {
             ending: None,
         }
     }
-}
-
-/// The brake of a rollout whose arm has a count that can be trusted, before its first period.
-fn brake_of(settings: &TickSettings) -> Brake {
-    if settings.safety_box.guard.is_box() {
-        damping_brake(settings)
-    } else {
-        by_rules(Brake::centring(&settings.plant), settings.rules)
-    }
-}
-
-/// The brake that uses the arm's velocity alone, before its first period.
-fn damping_brake(settings: &TickSettings) -> Brake {
-    by_rules(Brake::stopping(&settings.plant), settings.rules)
-}
-
-fn by_rules(brake: Brake, rules: TickRules) -> Brake {
-    if rules.reduces_gain_of_brake() { brake } else { brake.by_earlier_rules() }
-}
-
-fn sensor_watch(settings: &TickSettings) -> SensorWatch {
-    let watch = if settings.rules.cross_checks_encoders() {
-        SensorWatch::with_cross_check(&settings.plant, settings.calibration)
-    } else {
-        SensorWatch::of(&settings.plant)
-    };
-    let watch = if settings.rules.tests_drift() { watch } else { watch.without_drift_test() };
-    if settings.rules.allows_alternating() { watch } else { watch.by_earlier_rules() }
-}
-
-/// The test of an arm with a constant count; `None` under [`TickRules::First`].
-fn asking_push(settings: &TickSettings) -> Option<AskingPush> {
-    let rules = settings.rules;
-    let asking = AskingPush::of(&settings.plant);
-    let asking = if rules.allows_alternating() { asking } else { asking.by_earlier_rules() };
-    rules.pushes_constant_arm().then_some(asking)
 }
 
 impl<C: Controller> Motion for Tick<C> {
