@@ -73,6 +73,7 @@ mod push;
 mod reconnect;
 mod rest;
 mod rest_watch;
+mod rollout_brake;
 mod rules_of_recordings;
 mod sensor_watch;
 mod settling;

@@ -1,10 +1,8 @@
 use super::asking_push::AskingPush;
-use super::brake_end::{ArmAfterBrake, BrakeEnd, BrakeKind};
 use super::push::ArmInput;
 use super::rest::RestDetector;
-use super::rules_of_recordings::{
-    asking_push, brake_of, damping_brake, rest_detector, sensor_watch, watch,
-};
+use super::rollout_brake::RolloutBrake;
+use super::rules_of_recordings::{asking_push, rest_detector, sensor_watch, watch};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
 use super::slowness::SlownessWatch;
@@ -16,21 +14,13 @@ use crate::estimation::{Estimates, Estimator};
 use crate::policy::{Controller, Policy};
 use crate::qube::{CONTROL_PERIOD_S, MAX_HISTORY, Measurement, State, volts};
 use crate::safety::{
-    Brake, Contradiction, Foreseen, ForeseenAngle, ForesightSettings, Guard, Limit,
-    TrustedForesight, clamp_to_mv,
+    Contradiction, Foreseen, ForeseenAngle, ForesightSettings, Guard, Limit, TrustedForesight,
+    clamp_to_mv,
 };
 use crate::telemetry::{Ending, Fault, Phase, TickSettings};
 
 /// Most ticks for settling: 15 s. Settling takes less from any state in which a rollout may end.
 const MAX_SETTLING_TICKS: u32 = (15.0 / CONTROL_PERIOD_S) as u32;
-
-/// Shares of the brake's voltage that foresight tries in turn. The negative share is for an arm
-/// that, after lost samples, already moves against its estimated velocity.
-const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
-
-/// Periods of braking within which a jump of the pendulum's count counts as the reason for the
-/// braking. A jump is recognised one sample later than the guard acts on it.
-const JUMP_KNOWN_TICKS: u32 = 2;
 
 /// One rollout, tick by tick: settling, then the policy, then braking; any fault ends it. The table
 /// of [`ControlState`] holds the transitions.
@@ -51,7 +41,6 @@ pub struct Tick<C = Policy> {
     settler: Settler,
     gentle: GentleSettler,
     rest: RestDetector,
-    brake_end: BrakeEnd,
     control: ControlState,
     phase: Phase,
     periods_in_phase: u32,
@@ -59,20 +48,18 @@ pub struct Tick<C = Policy> {
     foresight: Option<TrustedForesight>,
     /// Prediction for the voltage that the policy requested in this tick; `None` without foresight,
     /// and in ticks in which the policy does not decide.
-    angle: Option<ForeseenAngle>,
+    foreseen_angle: Option<ForeseenAngle>,
     /// Prediction because of which foresight ended the policy; `None` if foresight did not end it.
     foreseen: Option<Foreseen>,
     /// Contradiction between the Qube and its profile that ended the policy; `None` if none did.
     contradiction: Option<Contradiction>,
-    brake: Brake,
-    /// True if the brake uses the arm's velocity alone, because the arm's count is doubted.
-    damps: bool,
+    brake: RolloutBrake,
     /// Control periods since the last sample.
     periods_without_sample: u32,
     /// Voltages sent in the last periods, newest first, V; some may not have reached the motor yet.
     sent_v: [f32; MAX_HISTORY],
     /// Ending of the rollout, valid once the rollout has begun to end.
-    reason: Ending,
+    ending: Ending,
     has_ended: bool,
     /// State estimates: one for the policy, one for guard, settling and brake.
     estimates: Estimates,
@@ -96,7 +83,6 @@ impl<C: Controller> Tick<C> {
             settler: Settler::of(plant),
             gentle: GentleSettler::of(plant, settings.rules),
             rest: rest_detector(settings),
-            brake_end: BrakeEnd::of(settings),
             control: ControlState::Ready,
             phase: Phase::Settling,
             periods_in_phase: 0,
@@ -105,14 +91,13 @@ impl<C: Controller> Tick<C> {
                     settings.foresight.unwrap_or_else(|| ForesightSettings::of_plant(plant));
                 foresight.foresight(settings.stops, plant)
             }),
-            angle: None,
+            foreseen_angle: None,
             foreseen: None,
             contradiction: None,
-            brake: brake_of(settings),
-            damps: false,
+            brake: RolloutBrake::of(settings),
             periods_without_sample: 0,
             sent_v: [0.0; MAX_HISTORY],
-            reason: Ending::Completed,
+            ending: Ending::Completed,
             has_ended: false,
             estimates: Estimates::default(),
             voltage_mv: 0,
@@ -125,21 +110,21 @@ impl<C: Controller> Tick<C> {
     /// requested; `None` without foresight, or if the policy did not decide.
     #[must_use]
     pub fn foreseen_angle(&self) -> Option<ForeseenAngle> {
-        self.angle
+        self.foreseen_angle
     }
 
     /// The fault that the rollout has latched, also while the arm is being damped or braked.
     #[must_use]
     pub fn latched_fault(&self) -> Option<Fault> {
-        match self.reason {
+        match self.ending {
             Ending::Fault(fault) => Some(fault),
             Ending::Completed | Ending::Stopped | Ending::LeftBox(_) => None,
         }
     }
 
-    /// Applies an event to the state table and carries out the action; `reason` is the rollout's
+    /// Applies an event to the state table and carries out the action; `ending` is the rollout's
     /// ending if this event ends it. Returns whether the amplifier goes off.
-    fn take(&mut self, event: ControlEvent, reason: Ending) -> bool {
+    fn take(&mut self, event: ControlEvent, ending: Ending) -> bool {
         let before = self.control;
         let action = self.control.take(event);
         if self.control != before {
@@ -148,7 +133,7 @@ impl<C: Controller> Tick<C> {
             if !goes_on_braking {
                 self.periods_in_phase = 0;
             }
-            self.reason = reason;
+            self.ending = ending;
         }
         match action {
             ControlAction::Settle => self.phase = Phase::Settling,
@@ -165,12 +150,7 @@ impl<C: Controller> Tick<C> {
             }
             ControlAction::Brake => {
                 self.phase = Phase::Braking;
-                // Settling may have used the brake before.
-                self.brake = if self.damps {
-                    damping_brake(&self.settings)
-                } else {
-                    brake_of(&self.settings)
-                };
+                self.brake.begin(&self.settings);
             }
             ControlAction::Off => self.voltage_mv = 0,
             ControlAction::GoOn
@@ -192,7 +172,9 @@ impl<C: Controller> Tick<C> {
     ) -> Option<(ControlEvent, Ending)> {
         let stopped = input.stop_requested.then_some((ControlEvent::Stop, Ending::Stopped));
         match self.phase {
-            Phase::Braking => self.braking_end(),
+            Phase::Braking => {
+                self.brake.end(&self.estimates.guarded, self.periods_in_phase, self.ending)
+            }
             _ if stopped.is_some() => stopped,
             Phase::Settling => {
                 if self.rest.at_rest(&self.estimates.guarded, self.settings.start_theta_rad) {
@@ -242,23 +224,20 @@ impl<C: Controller> Tick<C> {
     /// off.
     fn react(&mut self, alarm: Alarm) -> bool {
         match alarm {
-            Alarm::SwitchOff(fault) if fault.doubts_count() && self.may_damp() => {
-                if !self.damps {
-                    self.damps = true;
-                    self.brake = damping_brake(&self.settings);
-                }
+            Alarm::SwitchOff(fault) if fault.doubts_count() && self.brake.may_damp(self.phase) => {
+                self.brake.damp(&self.settings);
                 self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
             }
-            // The damping of a doubted count ends here, and its reason stays.
-            Alarm::SwitchOff(Fault::EncoderDrifts) if self.damps => {
-                self.take(ControlEvent::SwitchOffFault, self.reason)
+            // The damping of a doubted count ends here, and its ending stays.
+            Alarm::SwitchOff(Fault::EncoderDrifts) if self.brake.damps() => {
+                self.take(ControlEvent::SwitchOffFault, self.ending)
             }
             Alarm::SwitchOff(fault) => {
                 let is_kept = self.settings.rules.keeps_doubts()
                     && self.latched_fault().is_some_and(Fault::leaves_doubt)
                     && !fault.leaves_doubt();
-                let reason = if is_kept { self.reason } else { Ending::Fault(fault) };
-                self.take(ControlEvent::SwitchOffFault, reason)
+                let ending = if is_kept { self.ending } else { Ending::Fault(fault) };
+                self.take(ControlEvent::SwitchOffFault, ending)
             }
             // A sound motor overheats because of the policy: the policy has left a limit, and
             // nothing is at fault.
@@ -266,35 +245,14 @@ impl<C: Controller> Tick<C> {
                 let of_motor = Ending::LeftBox(Limit::MotorLoad);
                 self.phase == Phase::Running && self.take(ControlEvent::LimitLeft, of_motor)
             }
-            Alarm::Brake(fault) if self.explains_brake(fault) => {
+            Alarm::Brake(fault)
+                if self.phase == Phase::Braking
+                    && self.brake.is_explained_by(fault, self.periods_in_phase, self.ending) =>
+            {
                 self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
             }
             Alarm::Brake(fault) => self.take(ControlEvent::BrakeFault, Ending::Fault(fault)),
         }
-    }
-
-    /// Returns whether an arm whose count is doubted is damped by its velocity instead of being
-    /// left alone.
-    ///
-    /// The count may be right although a test doubts it; with the motor off, a moving arm would
-    /// then coast into its stop. For an arm at rest the brake gives 0 V anyway.
-    fn may_damp(&self) -> bool {
-        let rules = self.settings.rules;
-        if self.phase == Phase::Settling {
-            rules.damps_while_settling()
-        } else {
-            rules.damps_doubted_count()
-        }
-    }
-
-    /// Returns whether this fault is the reason why box or foresight began to brake. A step of the
-    /// pendulum's count is known to be a jump only one sample later.
-    fn explains_brake(&self, fault: Fault) -> bool {
-        self.settings.rules.explains_brake_by_jump()
-            && fault == Fault::PendulumJump
-            && self.phase == Phase::Braking
-            && self.periods_in_phase <= JUMP_KNOWN_TICKS
-            && matches!(self.reason, Ending::LeftBox(_))
     }
 
     /// Returns whether an overheated motor counts as an exceeded limit and not as a fault: from
@@ -304,21 +262,7 @@ impl<C: Controller> Tick<C> {
         self.settings.rules.limits_by_motor()
             && (self.phase == Phase::Running
                 || (self.phase == Phase::Braking
-                    && self.reason == Ending::LeftBox(Limit::MotorLoad)))
-    }
-
-    /// The event that ends braking: the arm has stopped, the time for braking is over, or the arm
-    /// does not obey the motor.
-    fn braking_end(&mut self) -> Option<(ControlEvent, Ending)> {
-        let arm = &self.estimates.guarded;
-        let kind = if self.damps { BrakeKind::Damping } else { BrakeKind::Guarded };
-        let ended = self.brake_end.check(arm, self.periods_in_phase, kind)?;
-        Some(match ended {
-            ArmAfterBrake::Stopped => (ControlEvent::BrakingEnded, self.reason),
-            ArmAfterBrake::Disobeys => {
-                (ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut))
-            }
-        })
+                    && self.ending == Ending::LeftBox(Limit::MotorLoad)))
     }
 
     fn wanted_voltage(&mut self) -> f64 {
@@ -340,29 +284,10 @@ impl<C: Controller> Tick<C> {
         }
     }
 
-    /// The voltage of the brake, V, times the first of `BRAKE_SHARES` for which foresight finds
-    /// that no simulated Qube's arm hits its stop.
-    ///
-    /// A firm brake whose voltage is held while samples are lost may throw a light arm back. The
-    /// simulation assumes that the velocity is as exact as without lost samples. With the larger
-    /// error of a velocity after lost samples, no share would pass when the test matters most. If
-    /// no share passes, the brake's full voltage is returned. It is also returned under the rules
-    /// before [`TickRules::BrakeSimulating`](crate::telemetry::TickRules::BrakeSimulating), without
-    /// foresight, and while the arm's count is doubted.
+    /// The voltage of the brake, V.
     fn braking_voltage(&mut self) -> f64 {
-        let wanted_v = self.brake.voltage_v(&self.estimates.guarded);
-        if !self.settings.rules.simulates_brake() || self.damps {
-            return wanted_v;
-        }
-        if let Some(foresight) = &mut self.foresight {
-            foresight.trust_velocities();
-        }
-        let largest_v = self.settings.plant.limits.largest_voltage_v;
-        let passes = |share: &f64| {
-            clamp_to_mv(share * wanted_v, largest_v)
-                .is_ok_and(|voltage_mv| self.too_late_for(voltage_mv).is_none())
-        };
-        BRAKE_SHARES.into_iter().find(passes).unwrap_or(1.0) * wanted_v
+        let foresight = self.foresight.as_mut();
+        self.brake.voltage_v(&self.estimates.guarded, &self.sent_v, foresight)
     }
 
     /// The alarm for an arm that has not responded to a test push that moves any arm, if there is
@@ -418,7 +343,7 @@ impl<C: Controller> Tick<C> {
 
     fn off(&mut self) -> TickOutput {
         self.has_ended = true;
-        TickOutput { ending: Some(self.reason), ..self.output() }
+        TickOutput { ending: Some(self.ending), ..self.output() }
     }
 
     fn output(&self) -> TickOutput {
@@ -437,7 +362,7 @@ impl<C: Controller> Tick<C> {
 
 impl<C: Controller> Motion for Tick<C> {
     fn decide(&mut self, input: &TickInput) -> TickOutput {
-        self.angle = None;
+        self.foreseen_angle = None;
         if self.has_ended {
             return self.off();
         }
@@ -471,8 +396,8 @@ impl<C: Controller> Motion for Tick<C> {
         // just begun and finds the arm at rest.
         for _ in 0..2 {
             let before = self.phase;
-            if let Some((event, reason)) = self.event(input, contradiction)
-                && self.take(event, reason)
+            if let Some((event, ending)) = self.event(input, contradiction)
+                && self.take(event, ending)
             {
                 return self.off();
             }
@@ -500,14 +425,14 @@ impl<C: Controller> Motion for Tick<C> {
             && let Some(foreseen) = self.too_late_for(self.voltage_mv)
         {
             if self.phase == Phase::Running {
-                self.angle = self.foresight.as_ref().and_then(TrustedForesight::angle);
+                self.foreseen_angle = self.foresight.as_ref().and_then(TrustedForesight::angle);
                 self.foreseen = Some(foreseen);
                 self.take(ControlEvent::LimitLeft, Ending::LeftBox(Limit::Foresight));
             }
             wanted_v = self.braking_voltage();
             self.voltage_mv = clamp_to_mv(wanted_v, largest_v).unwrap_or(0);
         } else if self.phase == Phase::Running {
-            self.angle = self.foresight.as_ref().and_then(TrustedForesight::angle);
+            self.foreseen_angle = self.foresight.as_ref().and_then(TrustedForesight::angle);
         }
         self.estimator.send(volts(self.voltage_mv));
         self.periods_in_phase += 1;
