@@ -4,6 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::error::link_fault;
+use super::{Rig, RigError};
+use crate::device::DeviceError;
 use crate::storage::{Disk, MachineDisk, is_absence, write_whole};
 use crate::telemetry::Fault;
 
@@ -126,6 +129,48 @@ impl DoubtStore {
         };
         let name: String = board.bytes().map(character).collect();
         self.folder.join(format!("doubt-{name}.json"))
+    }
+}
+
+impl Rig {
+    /// The doubt about this Qube that outlived an earlier program, if there is one.
+    #[must_use]
+    pub fn remembered_doubt(&self) -> Option<Doubt> {
+        self.doubts.as_ref()?.load(&self.identity.serial)
+    }
+
+    /// The doubt about this Qube after a fault.
+    pub(super) fn doubt(&self, fault: Fault) -> Doubt {
+        Doubt {
+            fault: Some(fault),
+            board: self.identity.serial.clone(),
+            unix_s: self.wall_time_ns().map(|time_ns| time_ns / 1_000_000_000),
+        }
+    }
+
+    /// The error of a device that refuses to drive its Qube or whose Qube is off: the fault is
+    /// latched as a doubt. Any other error of the device stays as it is.
+    pub(super) fn in_doubt(&self, error: DeviceError) -> RigError {
+        match link_fault(&error).filter(|fault| fault.leaves_doubt()) {
+            Some(fault) => {
+                self.latch(fault);
+                RigError::InDoubt(Box::new(self.doubt(fault)))
+            }
+            None => error.into(),
+        }
+    }
+
+    /// Remembers the fault of a motion; a doubt is also stored so that it outlives the program.
+    pub(super) fn latch(&self, fault: Fault) {
+        self.last_fault.set(Some(fault));
+        self.store_doubt(fault);
+    }
+
+    /// Stores the doubt that a fault leaves, if it leaves one.
+    pub(super) fn store_doubt(&self, fault: Fault) {
+        if let Some(doubts) = self.doubts.as_ref().filter(|_| fault.leaves_doubt()) {
+            doubts.store(&self.doubt(fault));
+        }
     }
 }
 

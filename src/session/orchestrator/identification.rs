@@ -49,7 +49,7 @@ impl Session {
         let SessionRig { settings, opened, .. } = &mut self.rigs[0];
         settings.profile = Some(latest);
         if let Some(rig) = opened {
-            rig.identify(settings);
+            rig.use_profile_of(settings);
         }
         Ok(())
     }
