@@ -1,7 +1,7 @@
 //! Finds the angle at which the pendulum hangs, from its swing while the motor is at 0 V.
 
-use super::homing_watch::at_rest_rad;
-use super::rest::{RECOIL, Swing};
+use super::held_counts::at_rest_rad;
+use super::swing::{RECOIL, Swing};
 use crate::qube::PlantModel;
 
 /// Largest width of the swing at which homing begins to push an arm that the swing moves, rad: a

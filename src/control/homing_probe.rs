@@ -1,8 +1,8 @@
 //! The first pushes of a homing, which show whether the arm follows the voltage and whether
 //! anything moves at all.
 
-use super::homing_watch::at_rest_rad;
-use super::rest::RECOIL;
+use super::held_counts::at_rest_rad;
+use super::swing::RECOIL;
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, State};
 
