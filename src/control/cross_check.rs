@@ -1,6 +1,6 @@
 //! Cross-check of the two encoders: an acceleration of the arm shows in the motion of the pendulum.
 
-use super::momentum_watch::HOLE_US;
+use super::history::{HOLE_US, History};
 use crate::elementary::Scalar;
 use crate::qube::{CONTROL_PERIOD_S, Measurement, PlantModel};
 
@@ -152,9 +152,7 @@ pub enum FrozenEncoder {
 #[derive(Clone, Copy, Debug)]
 pub struct CrossCheck {
     coefficients: Coefficients,
-    ring: [Entry; KEPT],
-    filled: usize,
-    newest: usize,
+    history: History<Entry, KEPT>,
     previous: Option<Previous>,
     /// Largest error of the pendulum's zero where the arm was at first, rad; it acts like a
     /// constant weight.
@@ -273,9 +271,7 @@ impl CrossCheck {
     fn new(coefficients: Coefficients, zero_within_rad: f64, unknown_share: f64) -> Self {
         Self {
             coefficients,
-            ring: [Entry::default(); KEPT],
-            filled: 0,
-            newest: 0,
+            history: History::default(),
             previous: None,
             zero_within_rad,
             tilt_rad: 0.0,
@@ -452,7 +448,7 @@ impl CrossCheck {
     /// was constant.
     fn drifts(&self) -> bool {
         let constant =
-            (self.arm_constant_ticks as usize).min(self.filled.saturating_sub(1)).min(DRIFT);
+            (self.arm_constant_ticks as usize).min(self.history.len().saturating_sub(1)).min(DRIFT);
         self.drifts_over(constant.min(DRIFT / 2)) || self.drifts_over(constant)
     }
 
@@ -460,7 +456,7 @@ impl CrossCheck {
         if ticks < 2 * SHORT + 2 {
             return false;
         }
-        let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
+        let at = |back: usize| self.history.back(back);
         // Velocity over `SHORT` periods, and the pull up to their middle.
         let velocity_and_pull = |back: usize| {
             let (end, start) = (at(back), at(back + SHORT));
@@ -495,28 +491,26 @@ impl CrossCheck {
         // cos a th'' is the derivative of cos a th' plus sin a a' th'.
         let turning = sin * theta_dot * (alpha_dot - 0.5 * lengths * cos * theta_dot);
         let pull = weight.mul_add(sin, turning);
-        let last = self.ring[self.newest];
+        let last = *self.history.back(0);
         let before_rad_s = self.pull_rad_s;
         self.pull_rad_s += pull * elapsed_s;
-        self.newest = (self.newest + 1) % KEPT;
-        self.filled = (self.filled + 1).min(KEPT);
-        self.ring[self.newest] = Entry {
+        self.history.push(Entry {
             time_s: last.time_s + elapsed_s,
             arm_rad: last.arm_rad + cos * (theta - previous.theta),
             swing_rad: swing * alpha,
             pull_rad: last.pull_rad + 0.5 * (before_rad_s + self.pull_rad_s) * elapsed_s,
             strain_rad_s: last.strain_rad_s + pull.abs() * elapsed_s,
             pulled_rad_s: self.pull_rad_s,
-        };
+        });
     }
 
     /// Changes of velocity between the two halves of the last `2 * half` periods; `None` until as
     /// many are kept.
     fn change(&self, half: usize) -> Option<Change> {
-        if self.filled <= 2 * half {
+        if self.history.len() <= 2 * half {
             return None;
         }
-        let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
+        let at = |back: usize| self.history.back(back);
         let (end, middle, start) = (at(0), at(half), at(2 * half));
         let change = |value: fn(&Entry) -> f64| {
             (value(end) - value(middle)) / (end.time_s - middle.time_s)

@@ -59,6 +59,7 @@ mod drive;
 mod error;
 mod hanging;
 mod held_counts;
+mod history;
 mod homing;
 mod homing_probe;
 mod homing_settings;

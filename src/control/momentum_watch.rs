@@ -1,11 +1,9 @@
 //! Detects a frozen arm encoder: the momentum of the whole Qube shows that the arm moves.
 
+use super::history::{HOLE_US, History};
 use super::push::SLOWEST_TICKS;
 use crate::elementary::Scalar;
 use crate::qube::{Measurement, PlantModel};
-
-/// Interval between samples that counts as a hole, us; the samples before a hole are dropped.
-pub(super) const HOLE_US: u64 = 15_000;
 
 /// Number of samples kept: three more than the longest window, in ticks, that is tested.
 const KEPT: usize = 26;
@@ -118,9 +116,7 @@ impl Coefficients {
 #[derive(Clone, Copy, Debug)]
 pub struct MomentumWatch {
     coefficients: Coefficients,
-    ring: [Entry; KEPT],
-    newest: usize,
-    filled: usize,
+    history: History<Entry, KEPT>,
     /// Ticks for which the arm's count has been within one count of `constant_count`.
     constant_ticks: usize,
     constant_count: i32,
@@ -158,9 +154,7 @@ impl MomentumWatch {
     fn new(coefficients: Coefficients) -> Self {
         Self {
             coefficients,
-            ring: [Entry::default(); KEPT],
-            newest: 0,
-            filled: 0,
+            history: History::default(),
             constant_ticks: 0,
             constant_count: 0,
             last_counts: 0,
@@ -190,20 +184,19 @@ impl MomentumWatch {
         voltage_v: f64,
         current_a: f32,
     ) -> bool {
-        let last = self.ring[self.newest];
+        let last = *self.history.back(0);
         let time_s = sample.device_time_us as f64 * 1e-6;
         let elapsed_s = time_s - last.time_s;
         let step = sample.theta_counts.wrapping_sub(self.last_counts);
         self.last_counts = sample.theta_counts;
-        if self.filled == 0 || elapsed_s > HOLE_US as f64 * 1e-6 {
+        if self.history.len() == 0 || elapsed_s > HOLE_US as f64 * 1e-6 {
             *self = Self {
                 has_taken_current: self.has_taken_current,
                 sent_v: [voltage_v; 1 + SLOWEST_TICKS],
                 trusts_current: self.trusts_current,
                 ..Self::new(self.coefficients)
             };
-            self.ring[0] = Entry { time_s, alpha, ..Entry::default() };
-            self.filled = 1;
+            self.history.push(Entry { time_s, alpha, ..Entry::default() });
             (self.constant_count, self.last_counts) = (sample.theta_counts, sample.theta_counts);
             return false;
         }
@@ -232,7 +225,7 @@ impl MomentumWatch {
             return false;
         }
         self.constant_ticks += 1;
-        let longest = self.constant_ticks.min(self.filled.saturating_sub(3));
+        let longest = self.constant_ticks.min(self.history.len().saturating_sub(3));
         (LEAST_TICKS..=longest).any(|ticks| self.moves_over(ticks))
     }
 
@@ -255,7 +248,7 @@ impl MomentumWatch {
     }
 
     fn push(&mut self, time_s: f64, elapsed_s: f64, alpha: f64, accelerates_rad_s2: f64) {
-        let last = self.ring[self.newest];
+        let last = *self.history.back(0);
         let (sin, _) = Scalar::sin_cos(0.5 * (alpha + last.alpha));
         let weight = self.coefficients.weight;
         let pushed_rad_s = accelerates_rad_s2 * elapsed_s;
@@ -264,22 +257,20 @@ impl MomentumWatch {
         for (sum, sent_v) in sent_rad_s.iter_mut().zip(self.sent_v) {
             *sum += self.of_current_rad_s2(sent_v / resistance_ohm) * elapsed_s;
         }
-        self.newest = (self.newest + 1) % KEPT;
-        self.filled = (self.filled + 1).min(KEPT);
-        self.ring[self.newest] = Entry {
+        self.history.push(Entry {
             time_s,
             alpha,
             pushed_rad_s: last.pushed_rad_s + pushed_rad_s,
             push_rad_s: last.push_rad_s + pushed_rad_s.abs(),
             sent_rad_s,
             pulled_rad_s: last.pulled_rad_s + weight * sin * elapsed_s,
-        };
+        });
     }
 
     /// Returns whether both equations show that the arm has gained velocity within the last `ticks`
     /// ticks.
     fn moves_over(&self, ticks: usize) -> bool {
-        let at = |back: usize| &self.ring[(self.newest + KEPT - back) % KEPT];
+        let at = |back: usize| self.history.back(back);
         let alpha_dot = |back: usize| {
             let (end, start) = (at(back), at(back + 2));
             (end.alpha - start.alpha) / (end.time_s - start.time_s)
