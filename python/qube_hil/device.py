@@ -59,8 +59,8 @@ class QubeDeviceEnv(Uncopied, gymnasium.Env[Any, Any]):
     ``info`` has ``late_answers``, their number in the episode. After a step it also has ``ticks``, the number of
     requests for a voltage in the step: one, and more after late answers. The reward is the sum over the control periods
     of the step, including those whose sample was lost and up to four skipped ones a tick. ``voltage_v`` is the voltage
-    that the motor got in the last of these periods. It is Python's unless a late answer, the guard or an asking push
-    replaced it; an asking push shows whether the arm's encoder counts. At the end of an episode there are ``ending`` in
+    that the motor got in the last of these periods. It is Python's unless a late answer, the guard or a test push
+    replaced it; a test push shows whether the arm's encoder counts. At the end of an episode there are ``ending`` in
     words, ``return`` and ``recording``.
     """
 

@@ -18,7 +18,7 @@ class Recording(dict[str, npt.NDArray[Any]]):
     ``pandas.DataFrame(recording)`` and ``polars.DataFrame(recording)`` make tables of it. The columns: ``tick``,
     ``time_s`` (since the first tick), ``phase`` (settling, running or braking), the state that the policy sees
     (``theta_rad``, ``alpha_rad``, ``theta_dot_rad_s``, ``alpha_dot_rad_s``), ``wanted_v`` (given by the policy,
-    where no asking push replaced its voltage, by settling or by the brake), ``voltage_v`` (sent), ``reward`` (0 outside
+    where no test push replaced its voltage, by settling or by the brake), ``voltage_v`` (sent), ``reward`` (0 outside
     of running), the sample (``has_sample``, ``device_time_s``, ``theta_counts``, ``alpha_counts``,
     ``measured_theta_rad``, ``measured_alpha_rad``, ``tachometer_rad_s``, ``current_a``, ``applied_v``,
     ``sample_to_act_us``), and the timing (``lateness_us``, ``turnaround_us``, ``skipped_periods``). Numbers that a tick

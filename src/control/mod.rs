@@ -45,7 +45,6 @@
 //! ```
 
 mod after_motion;
-mod asking_push;
 mod between_motions;
 mod brake_end;
 mod count_drift;
@@ -86,6 +85,7 @@ mod still_pendulum;
 mod stop_press;
 mod stop_seek;
 mod swing;
+mod test_push;
 mod thread;
 mod tick;
 mod voltage_watch;

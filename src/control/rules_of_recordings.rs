@@ -1,9 +1,9 @@
 //! Builds the parts of a tick by the rules that a recording names. A rollout that is driven names
 //! the newest ones.
 
-use super::asking_push::AskingPush;
 use super::rest::RestDetector;
 use super::sensor_watch::SensorWatch;
+use super::test_push::TestPush;
 use super::watch::Watch;
 use crate::safety::Brake;
 use crate::telemetry::{TickRules, TickSettings};
@@ -52,9 +52,9 @@ pub(super) fn sensor_watch(settings: &TickSettings) -> SensorWatch {
 }
 
 /// The test of an arm with a constant count; `None` under [`TickRules::First`].
-pub(super) fn asking_push(settings: &TickSettings) -> Option<AskingPush> {
+pub(super) fn test_push(settings: &TickSettings) -> Option<TestPush> {
     let rules = settings.rules;
-    let asking = AskingPush::of(&settings.plant);
-    let asking = if rules.allows_alternating() { asking } else { asking.by_earlier_rules() };
-    rules.pushes_constant_arm().then_some(asking)
+    let push = TestPush::of(&settings.plant);
+    let push = if rules.allows_alternating() { push } else { push.by_earlier_rules() };
+    rules.pushes_constant_arm().then_some(push)
 }

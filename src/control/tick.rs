@@ -1,11 +1,11 @@
-use super::asking_push::AskingPush;
 use super::push::ArmInput;
 use super::rest::RestDetector;
 use super::rollout_brake::RolloutBrake;
-use super::rules_of_recordings::{asking_push, rest_detector, sensor_watch, watch};
+use super::rules_of_recordings::{rest_detector, sensor_watch, test_push, watch};
 use super::sensor_watch::SensorWatch;
 use super::settling::{GentleSettler, Settler};
 use super::slowness::SlownessWatch;
+use super::test_push::TestPush;
 use super::voltage_watch::VoltageWatch;
 use super::watch::{Alarm, Watch, most_urgent};
 use super::{ControlAction, ControlEvent, ControlState, Motion, TickInput, TickOutput};
@@ -37,7 +37,7 @@ pub struct Tick<C = Policy> {
     sensors: SensorWatch,
     /// Push that tests whether an arm with a constant count can move; `None` before the policy runs
     /// and under [`TickRules::First`](crate::telemetry::TickRules::First).
-    asking: Option<AskingPush>,
+    test_push: Option<TestPush>,
     settler: Settler,
     gentle: GentleSettler,
     rest: RestDetector,
@@ -79,7 +79,7 @@ impl<C: Controller> Tick<C> {
             slowness: SlownessWatch::default(),
             voltage: VoltageWatch::default(),
             sensors: sensor_watch(settings),
-            asking: None,
+            test_push: None,
             settler: Settler::of(plant),
             gentle: GentleSettler::of(plant, settings.rules),
             rest: rest_detector(settings),
@@ -141,7 +141,7 @@ impl<C: Controller> Tick<C> {
                 // The box counts the pendulum's turns from the start of the policy.
                 self.estimates = self.estimator.forget_whole_turns();
                 self.policy.start();
-                self.asking = asking_push(&self.settings);
+                self.test_push = test_push(&self.settings);
                 self.sensors.allow_the_whole_domain();
                 if let Some(foresight) = &mut self.foresight {
                     foresight.begin_policy();
@@ -278,7 +278,7 @@ impl<C: Controller> Tick<C> {
             Phase::Running => {
                 let wanted_v = self.policy.voltage_v(&self.estimates.seen);
                 let theta = self.estimates.guarded.theta;
-                self.asking.as_mut().map_or(wanted_v, |asking| asking.voltage_v(wanted_v, theta))
+                self.test_push.as_mut().map_or(wanted_v, |push| push.voltage_v(wanted_v, theta))
             }
             Phase::Braking => self.braking_voltage(),
         }
@@ -293,9 +293,9 @@ impl<C: Controller> Tick<C> {
     /// The alarm for an arm that has not responded to a test push that moves any arm, if there is
     /// one.
     fn unanswered(&mut self, sample: &Measurement) -> Option<Alarm> {
-        let asking = self.asking.as_mut().filter(|_| self.phase == Phase::Running)?;
+        let push = self.test_push.as_mut().filter(|_| self.phase == Phase::Running)?;
         let (_, alpha) = self.settings.calibration.angles_rad(sample);
-        let unanswered = asking.is_unanswered(sample, self.voltage_mv, alpha);
+        let unanswered = push.is_unanswered(sample, self.voltage_mv, alpha);
         unanswered.then(|| Alarm::SwitchOff(self.sensors.why_arm_rests(sample, self.voltage_mv)))
     }
 

@@ -76,7 +76,7 @@ fn an_arm_that_friction_holds_against_a_swinging_pendulum_is_not_frozen() {
 }
 
 /// Runs whole rollouts, with a freeze at the beginning of the policy (seed 0) or after about 60 %
-/// of its time (seed 1), when most rollouts balance quietly: only the asking push finds such a
+/// of its time (seed 1), when most rollouts balance quietly: only the test push finds such a
 /// freeze.
 #[test]
 fn a_freeze_in_a_rollout_is_found_within_300_ms_and_a_healthy_qube_is_left_alone() {

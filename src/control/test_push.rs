@@ -53,8 +53,9 @@ struct SlowestArm {
     swing_holds_v_s2: f64,
     least_rad_s2_v: f64,
     /// This plant's inertia relief; see [`INERTIA_RELIEF`].
-    gives_way: f64,
-    must_have_gone_rad: f64,
+    inertia_relief: f64,
+    /// Travel from which a constant count proves a fault, rad; see [`PROOF_COUNTS`].
+    proof_rad: f64,
     /// Largest push, V.
     largest_v: f64,
 }
@@ -69,7 +70,7 @@ impl SlowestArm {
         let weight_v = |dynamics: &Dynamics, arm_m: f64, pendulum_m: f64| {
             dynamics.gravity_torque * arm_m / pendulum_m / dynamics.torque_per_volt
         };
-        let gives_way = |dynamics: &Dynamics| {
+        let relief = |dynamics: &Dynamics| {
             dynamics.coupling * dynamics.coupling
                 / (dynamics.arm_inertia * dynamics.pendulum_inertia)
         };
@@ -81,9 +82,9 @@ impl SlowestArm {
             weight_holds_v: weight * WEIGHT_HOLDS_V,
             swing_holds_v_s2: swing * SWING_HOLDS_V_S2,
             least_rad_s2_v: LEAST_RAD_S2_V / plant.volts_per_qube_volt(),
-            gives_way: (gives_way(&own) / gives_way(&qube) * INERTIA_RELIEF)
+            inertia_relief: (relief(&own) / relief(&qube) * INERTIA_RELIEF)
                 .min(LARGEST_INERTIA_RELIEF),
-            must_have_gone_rad: PROOF_COUNTS * plant.encoders.theta.rad_per_count(),
+            proof_rad: PROOF_COUNTS * plant.encoders.theta.rad_per_count(),
             largest_v: plant.limits.largest_voltage_v,
         }
     }
@@ -103,7 +104,7 @@ struct Load {
 /// and cancel the push. The push ends, and the policy continues, once the count has changed by two
 /// or more.
 #[derive(Clone, Copy, Debug)]
-pub struct AskingPush {
+pub struct TestPush {
     slowest: SlowestArm,
     counts: i32,
     /// Device time of the driven tick since which the count has been constant, us; `None` while no
@@ -131,7 +132,7 @@ pub struct AskingPush {
     trusts_holding: bool,
 }
 
-impl AskingPush {
+impl TestPush {
     /// A watch of this plant before its first sample.
     #[must_use]
     pub fn of(plant: &PlantModel) -> Self {
@@ -212,12 +213,12 @@ impl AskingPush {
         self.under_way_v.rotate_left(1);
         self.under_way_v[SLOWEST_TICKS - 1] = (sent_v - self.holding_v()) * self.push_v.signum();
         let held_v = ABSORBED_V + self.held_v(&load);
-        let SlowestArm { least_rad_s2_v, gives_way, .. } = self.slowest;
-        let least_rad_s2_v = least_rad_s2_v / (1.0 - gives_way * cos * cos);
+        let SlowestArm { least_rad_s2_v, inertia_relief, .. } = self.slowest;
+        let least_rad_s2_v = least_rad_s2_v / (1.0 - inertia_relief * cos * cos);
         let gained_rad_s = least_rad_s2_v * (along_v - held_v) * elapsed_s;
         self.least_rad += self.least_rad_s * elapsed_s;
         self.least_rad_s = (self.least_rad_s + gained_rad_s).max(0.0);
-        self.least_rad > self.slowest.must_have_gone_rad
+        self.least_rad > self.slowest.proof_rad
     }
 
     /// The motor voltage of this tick, V: `wanted_v`, or the mean of the last voltages plus a push.
@@ -276,12 +277,12 @@ mod tests {
         let qube = Dynamics::<f64>::new(&parameters);
         let weight = qube.gravity_torque * parameters.rotary_length_m
             / (parameters.pendulum_length_m * qube.torque_per_volt);
-        let given_way = qube.coupling.powi(2) / (qube.arm_inertia * qube.pendulum_inertia);
+        let inertia_relief = qube.coupling.powi(2) / (qube.arm_inertia * qube.pendulum_inertia);
         for (constant, source) in [
             (WEIGHT_HOLDS_V, 1.5 * weight),
             (SWING_HOLDS_V_S2, qube.coupling / qube.torque_per_volt),
             (LEAST_RAD_S2_V, 0.5 * qube.torque_per_volt / qube.arm_inertia),
-            (INERTIA_RELIEF, given_way),
+            (INERTIA_RELIEF, inertia_relief),
         ] {
             assert!((constant / source - 1.0).abs() < 0.02, "{constant} {source}");
         }
@@ -302,14 +303,14 @@ mod tests {
     /// The tick at which an arm under a hanging pendulum counts as not responding, if any.
     fn unanswered(nonidealities: Nonidealities, frozen: bool) -> Option<u64> {
         let dynamics = NonidealDynamics::new(&QubeModel { nonidealities, ..QubeModel::NOMINAL });
-        let (mut asking, mut state, mut sent_mv) =
-            (AskingPush::of(&PlantModel::QUBE), State::default(), 0);
+        let (mut test_push, mut state, mut sent_mv) =
+            (TestPush::of(&PlantModel::QUBE), State::default(), 0);
         for tick in 1..100 {
             let theta = if frozen { 0.0 } else { state.theta };
-            if asking.is_unanswered(&at(tick, theta), sent_mv, state.alpha) {
+            if test_push.is_unanswered(&at(tick, theta), sent_mv, state.alpha) {
                 return Some(tick);
             }
-            let voltage_v = asking.voltage_v(0.05, theta);
+            let voltage_v = test_push.voltage_v(0.05, theta);
             sent_mv = (voltage_v * 1000.0) as i16;
             state = control_step(&dynamics, state, voltage_v);
         }
@@ -341,17 +342,17 @@ mod tests {
     /// The tick at which a constant count is called unanswered, and the voltage sent before it, V,
     /// if the policy requests `wanted_v(tick)` while the pendulum is at `alpha(tick)`.
     fn unanswered_under(
-        mut asking: AskingPush,
+        mut test_push: TestPush,
         alpha: impl Fn(u64) -> f64,
         wanted_v: impl Fn(u64) -> f64,
     ) -> Option<(u64, f64)> {
         let mut sent_v = 0.0;
         for tick in 1..60 {
             let theta = 1.0 + 0.1 * CONSTANT_FROM.saturating_sub(tick) as f64;
-            if asking.is_unanswered(&at(tick, theta), (1e3 * sent_v) as i16, alpha(tick)) {
+            if test_push.is_unanswered(&at(tick, theta), (1e3 * sent_v) as i16, alpha(tick)) {
                 return Some((tick, sent_v));
             }
-            sent_v = asking.voltage_v(wanted_v(tick), theta).clamp(-5.0, 5.0);
+            sent_v = test_push.voltage_v(wanted_v(tick), theta).clamp(-5.0, 5.0);
         }
         None
     }
@@ -360,9 +361,9 @@ mod tests {
     fn a_load_that_is_gone_may_have_needed_the_voltage_that_held_the_arm() {
         // The pendulum falls, and 3 V hold the arm against it until it hangs.
         let alpha = |tick: u64| (0.08 * (tick as f64 - CONSTANT_FROM as f64) - 0.8).min(0.0);
-        let asking = AskingPush::of(&PlantModel::QUBE);
-        let earlier = unanswered_under(asking.by_earlier_rules(), alpha, |_| 3.0).unwrap();
-        let newest = unanswered_under(asking, alpha, |_| 3.0).unwrap();
+        let test_push = TestPush::of(&PlantModel::QUBE);
+        let earlier = unanswered_under(test_push.by_earlier_rules(), alpha, |_| 3.0).unwrap();
+        let newest = unanswered_under(test_push, alpha, |_| 3.0).unwrap();
         assert!(newest.0 >= earlier.0 + 2 && newest.1 < earlier.1, "{earlier:?} {newest:?}");
     }
 
@@ -371,18 +372,18 @@ mod tests {
         // The mean of the six voltages is 4/3 V; one tick earlier it was 0 V.
         let wanted_v = |tick: u64| [4.0, 4.0, -4.0, -4.0][tick as usize % 4];
         let steady_v = |_| 4.0 / 3.0;
-        let asking = AskingPush::of(&PlantModel::QUBE);
-        let alternating = unanswered_under(asking, |_| 0.0, wanted_v);
-        let steady = unanswered_under(asking, |_| 0.0, steady_v);
+        let test_push = TestPush::of(&PlantModel::QUBE);
+        let alternating = unanswered_under(test_push, |_| 0.0, wanted_v);
+        let steady = unanswered_under(test_push, |_| 0.0, steady_v);
         assert!(alternating.unwrap().0 > steady.unwrap().0, "{alternating:?} {steady:?}");
     }
 
     #[test]
     fn an_arm_at_rest_without_voltage_is_not_pushed() {
-        let mut asking = AskingPush::of(&PlantModel::QUBE);
+        let mut test_push = TestPush::of(&PlantModel::QUBE);
         for tick in 1..100 {
-            assert!(!asking.is_unanswered(&at(tick, 0.0), 0, 0.0));
-            assert!(asking.voltage_v(0.0, 0.0) == 0.0);
+            assert!(!test_push.is_unanswered(&at(tick, 0.0), 0, 0.0));
+            assert!(test_push.voltage_v(0.0, 0.0) == 0.0);
         }
     }
 }
