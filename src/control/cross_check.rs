@@ -298,7 +298,7 @@ impl CrossCheck {
     }
 
     /// Sets the relative uncertainty of the comparison.
-    pub fn allow(&mut self, unknown_share: f64) {
+    pub fn set_unknown_share(&mut self, unknown_share: f64) {
         self.unknown_share = unknown_share;
     }
 

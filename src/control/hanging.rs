@@ -50,7 +50,7 @@ pub struct Hanging {
 pub struct HangingAngle {
     /// Angle at which the pendulum hangs, rad: the mean of the middles of the last two windows, or
     /// the middle of the last one if the pendulum does not swing.
-    pub middle_rad: f64,
+    pub hanging_rad: f64,
     /// Largest error of this angle, rad: one count, 1 % of the swing's width, and half of the
     /// distance between the two middles.
     pub within_rad: f64,
@@ -90,7 +90,7 @@ impl Hanging {
         self.windows += 1;
         (apart_rad < AGREEING_COUNTS * self.rad_per_count || self.windows > MOST_WINDOWS).then_some(
             HangingAngle {
-                middle_rad: 0.5 * (pendulum.middle_rad + before_rad),
+                hanging_rad: 0.5 * (pendulum.middle_rad + before_rad),
                 within_rad: within_rad + 0.5 * apart_rad,
                 swing_rad: pendulum.width_rad,
             },

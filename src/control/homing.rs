@@ -59,11 +59,11 @@ pub struct Homing {
     stillness: StillnessDetector,
     stage: Stage,
     /// Angle of the arm at the first push, rad; after some faults the arm is led back there.
-    place_rad: f64,
+    first_push_rad: f64,
     /// Middle of the arm's travel by the stops or by the operator's hand, rad, once known.
     middle_rad: Option<f64>,
-    /// Angles of the stops that were touched, lower first, rad.
-    stops_rad: Option<(f64, f64)>,
+    /// The stops, once both have been touched.
+    stops: Option<HardStops>,
     /// Best estimate of the angle at which the pendulum hangs, rad.
     hanging_rad: f64,
     /// Wrong sign that a first push has shown; it is reported once a second push confirms it.
@@ -76,7 +76,7 @@ pub struct Homing {
     runaway: Runaway,
     state: State,
     voltage_mv: i16,
-    found: Option<MeasuredRig>,
+    measured: Option<MeasuredRig>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -114,9 +114,9 @@ impl Homing {
             control: ControlState::Identified.on(ControlEvent::Home).0,
             stillness: StillnessDetector::default(),
             stage: Stage::Observe(Hanging::of(&settings.plant)),
-            place_rad: 0.0,
+            first_push_rad: 0.0,
             middle_rad,
-            stops_rad: None,
+            stops: None,
             hanging_rad: 0.0,
             suspected: None,
             ticks: 0,
@@ -127,7 +127,7 @@ impl Homing {
             runaway: Runaway::default(),
             state: State::default(),
             voltage_mv: 0,
-            found: None,
+            measured: None,
         }
     }
 
@@ -140,19 +140,19 @@ impl Homing {
     /// Signs and zeros, once homing has completed.
     #[must_use]
     pub fn calibration(&self) -> Option<Calibration> {
-        self.found.map(|rig| rig.calibration)
+        self.measured.map(|rig| rig.calibration)
     }
 
     /// Everything that homing has measured, once it has completed.
     #[must_use]
     pub fn measured(&self) -> Option<MeasuredRig> {
-        self.found
+        self.measured
     }
 
     /// Distance between the stops, rad, once both have been touched.
     #[must_use]
     pub fn travel_rad(&self) -> Option<f64> {
-        self.stops_rad.map(|(lowest_rad, highest_rad)| highest_rad - lowest_rad)
+        self.stops.map(|stops| stops.travel_rad())
     }
 
     /// Count of the arm in the first sample; `None` before it.
@@ -177,7 +177,7 @@ impl Homing {
     }
 
     /// The state, with alpha relative to hanging.
-    fn seen(&self) -> State {
+    fn state_from_hanging(&self) -> State {
         State { alpha: self.state.alpha - self.hanging_rad, ..self.state }
     }
 
@@ -201,15 +201,15 @@ impl Homing {
     /// Updates the current stage and enters the next stage at its end; returns the ending once
     /// homing is over.
     fn advance(&mut self, measurement: &Measurement) -> Option<Ending> {
-        let seen = self.seen();
+        let seen = self.state_from_hanging();
         let encoders = self.settings.plant.encoders;
         let scale_is_right = self.sensors.cross_check().is_some_and(CrossCheck::scale_is_right);
         match &mut self.stage {
             Stage::Observe(hanging) => {
                 if let Some(hanging_angle) = hanging.update(self.state.theta, self.state.alpha) {
-                    self.set_hanging_angle(hanging_angle.middle_rad, hanging_angle.within_rad);
+                    self.set_hanging_angle(hanging_angle.hanging_rad, hanging_angle.within_rad);
                     if self.control.take(ControlEvent::AtRest) == ControlAction::Seek {
-                        self.place_rad = self.state.theta;
+                        self.first_push_rad = self.state.theta;
                         self.stage = Stage::Probe(HomingProbe::new(
                             &self.settings.plant,
                             hanging_angle.swing_rad,
@@ -240,23 +240,21 @@ impl Homing {
                         zero_within_rad(&self.settings.plant),
                     );
                     if !is_off {
-                        self.found = Some(self.zeros(measurement, off_rad));
+                        self.measured = Some(self.zeros(measurement, off_rad));
                         return Some(Ending::Completed);
                     }
                 }
             }
             Stage::Seek(seek) => {
                 let lead_rad_s = if scale_is_right { LEAD_RAD_S } else { FIRST_LEAD_RAD_S };
-                if let Some(HardStops { lowest_rad, highest_rad }) =
-                    seek.update(self.state.theta, lead_rad_s)
-                {
-                    self.stops_rad = Some((lowest_rad, highest_rad));
+                if let Some(stops) = seek.update(self.state.theta, lead_rad_s) {
+                    self.stops = Some(stops);
                     self.swing = Swing::default();
-                    let travel = (highest_rad - lowest_rad) / self.settings.expected_travel_rad();
+                    let travel = stops.travel_rad() / self.settings.expected_travel_rad();
                     if (travel - 1.0).abs() > TRAVEL_TOLERANCE {
                         self.leave_stop(Fault::TravelWrong);
                     } else {
-                        self.middle_rad = Some(0.5 * (lowest_rad + highest_rad));
+                        self.middle_rad = Some(stops.middle_rad());
                         self.stage = Stage::Calm;
                     }
                 }
@@ -269,7 +267,8 @@ impl Homing {
     }
 
     fn leave_stop(&mut self, fault: Fault) {
-        self.stage = Stage::LeaveStop(LeavingStop::after(fault, self.state.theta, self.place_rad));
+        self.stage =
+            Stage::LeaveStop(LeavingStop::after(fault, self.state.theta, self.first_push_rad));
     }
 
     /// Acts on the response to a push: enters the next stage, waits, or requests a second push.
@@ -325,33 +324,34 @@ impl Homing {
         let signs = &self.settings.signs;
         let calibration = signs.with_zeros_behind(measurement, off_zero_rad, off_hanging_rad);
         let zero_rad = self.calm_rad() + offset_rad;
-        let stops_rad = self.stops_rad.or_else(|| self.stops_by_hand_rad());
-        let stops = stops_rad.map(|(lowest_rad, highest_rad)| MeasuredStops {
-            lowest_theta_rad: lowest_rad - zero_rad,
-            highest_theta_rad: highest_rad - zero_rad,
+        let stops = self.stops.or_else(|| self.stops_by_hand()).map(|stops| MeasuredStops {
+            lowest_theta_rad: stops.lowest_rad - zero_rad,
+            highest_theta_rad: stops.highest_rad - zero_rad,
         });
         MeasuredRig { calibration, stops }
     }
 
-    /// Angles of the stops after homing by hand, lower first, rad: the operator's middle and the
-    /// expected travel imply them. `None` where they are the plant's own around the zero, which
-    /// guard and brake assume without measured stops.
-    fn stops_by_hand_rad(&self) -> Option<(f64, f64)> {
+    /// The stops after homing by hand: the operator's middle and the expected travel imply them.
+    /// `None` where they are the plant's own around the zero, which guard and brake assume without
+    /// measured stops.
+    fn stops_by_hand(&self) -> Option<HardStops> {
         let HomingSettings { method, theta_offset_rad, travel_rad, .. } = self.settings;
         let are_the_plants = theta_offset_rad == 0.0 && travel_rad.is_none();
         let (middle_rad, half_rad) = (self.calm_rad(), 0.5 * self.settings.expected_travel_rad());
-        (method == HomingMethod::Hand && !are_the_plants)
-            .then_some((middle_rad - half_rad, middle_rad + half_rad))
+        (method == HomingMethod::Hand && !are_the_plants).then_some(HardStops {
+            lowest_rad: middle_rad - half_rad,
+            highest_rad: middle_rad + half_rad,
+        })
     }
 
     /// Target of the arm while the pendulum comes to rest, rad: the middle, or the angle at the
     /// first push if no middle is known.
     fn calm_rad(&self) -> f64 {
-        self.middle_rad.unwrap_or(self.place_rad)
+        self.middle_rad.unwrap_or(self.first_push_rad)
     }
 
     fn wanted_voltage(&mut self) -> f64 {
-        let seen = self.seen();
+        let seen = self.state_from_hanging();
         match self.stage {
             Stage::Observe(_) => 0.0,
             Stage::Probe(probe) => probe.voltage_v(),
@@ -360,7 +360,9 @@ impl Homing {
                 let target_rad = seek.target_rad().unwrap_or(seen.theta);
                 self.settler.follow(&seen, target_rad, seek.push_v())
             }
-            Stage::LeaveStop(leaving_stop) => self.settler.voltage(&seen, leaving_stop.place_rad()),
+            Stage::LeaveStop(leaving_stop) => {
+                self.settler.voltage(&seen, leaving_stop.target_rad())
+            }
         }
     }
 
@@ -441,7 +443,9 @@ impl Motion for Homing {
             return self.off(ending);
         }
         let is_led = !matches!(self.stage, Stage::Observe(_) | Stage::Probe(_));
-        if is_led && self.runaway.lasts(&self.seen(), f64::from(self.voltage_mv) * 1e-3) {
+        if is_led
+            && self.runaway.lasts(&self.state_from_hanging(), f64::from(self.voltage_mv) * 1e-3)
+        {
             // A stiff cable moves an arm against the voltage even if the motor is dead, so the
             // current decides which of the two faults it is.
             let is_dead = self.current.draws_no_current_at_speed(measurement, self.voltage_mv);

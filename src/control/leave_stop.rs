@@ -25,20 +25,21 @@ const MAX_LEAVING_TICKS: u32 = 600;
 pub struct LeavingStop {
     fault: Fault,
     from_rad: f64,
-    place_rad: f64,
+    target_rad: f64,
     ticks: u32,
 }
 
 impl LeavingStop {
-    /// The way from `from_rad`, where the fault was found, to `place_rad`, where homing first
+    /// The way from `from_rad`, where the fault was found, to `first_push_rad`, where homing first
     /// pushed the arm. After a wrong distance between the stops, the way is at least
     /// `LEAST_WAY_RAD` long.
-    pub fn after(fault: Fault, from_rad: f64, place_rad: f64) -> Self {
+    pub fn after(fault: Fault, from_rad: f64, first_push_rad: f64) -> Self {
         // The stop that was touched last is the one at positive theta.
-        let is_near = (from_rad - place_rad).abs() < LEAST_WAY_RAD;
+        let is_near = (from_rad - first_push_rad).abs() < LEAST_WAY_RAD;
         let is_of_travel = fault == Fault::TravelWrong;
-        let place_rad = if is_near && is_of_travel { from_rad - LEAST_WAY_RAD } else { place_rad };
-        Self { fault, from_rad, place_rad, ticks: 0 }
+        let target_rad =
+            if is_near && is_of_travel { from_rad - LEAST_WAY_RAD } else { first_push_rad };
+        Self { fault, from_rad, target_rad, ticks: 0 }
     }
 
     /// The fault after which the arm leaves the stop.
@@ -47,8 +48,8 @@ impl LeavingStop {
     }
 
     /// Target angle, rad.
-    pub fn place_rad(&self) -> f64 {
-        self.place_rad
+    pub fn target_rad(&self) -> f64 {
+        self.target_rad
     }
 
     /// Takes the next state; returns the fault once the arm has arrived or its time is over. After
@@ -59,7 +60,7 @@ impl LeavingStop {
         if !came_off && self.fault == Fault::TravelWrong {
             return (self.ticks > HELD_TICKS).then_some(Fault::ArmHeld);
         }
-        let off_rad = (state.theta - self.place_rad).abs();
+        let off_rad = (state.theta - self.target_rad).abs();
         let is_back = off_rad < BACK_RAD && state.theta_dot.abs() < SLOW_RAD_S;
         (is_back || self.ticks > MAX_LEAVING_TICKS).then_some(self.fault)
     }

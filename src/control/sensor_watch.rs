@@ -176,7 +176,7 @@ impl SensorWatch {
     /// domain may raise an alarm, which would void the rollout.
     pub fn allow_the_whole_domain(&mut self) {
         if let Some((_, cross_check)) = &mut self.cross_check {
-            cross_check.allow(WHOLE_DOMAIN_SHARE);
+            cross_check.set_unknown_share(WHOLE_DOMAIN_SHARE);
         }
     }
 

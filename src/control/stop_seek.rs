@@ -44,6 +44,18 @@ pub struct HardStops {
     pub highest_rad: f64,
 }
 
+impl HardStops {
+    /// Distance between the stops, rad.
+    pub fn travel_rad(&self) -> f64 {
+        self.highest_rad - self.lowest_rad
+    }
+
+    /// Angle half-way between the stops, rad.
+    pub fn middle_rad(&self) -> f64 {
+        0.5 * (self.lowest_rad + self.highest_rad)
+    }
+}
+
 /// The approach to one stop.
 #[derive(Clone, Copy, Debug)]
 struct Approach {
