@@ -24,7 +24,7 @@ fn virtual_rollout(criterion: &mut Criterion) {
     let mut homing = Homing::new(&HomingSettings::default());
     drive(&mut device, &clock, &mut homing, None, &stop).expect("the Qube is homed");
     let settings = TickSettings {
-        calibration: homing.calibration().expect("homing has found the middle"),
+        calibration: homing.measured().expect("homing has found the middle").calibration,
         estimator: EstimatorSettings::default(),
         safety_box: SafetyBox::THESIS,
         max_steps: 600,

@@ -284,11 +284,9 @@ impl Tally {
         self.rollouts += 1;
         let homed =
             device.hello().is_ok() && drive(&mut device, &clock, &mut homing, None, &stop).is_ok();
-        let Some(calibration) = homing.calibration().filter(|_| homed) else {
-            return;
-        };
+        let Some(measured) = homing.measured().filter(|_| homed) else { return };
         let settings = TickSettings {
-            calibration,
+            calibration: measured.calibration,
             estimator,
             safety_box: SafetyBox { guard: Guard::Box, ..SafetyBox::THESIS },
             max_steps: 600,

@@ -137,12 +137,6 @@ impl Homing {
         Self { control: ControlState::Cleared.on(ControlEvent::Home).0, ..Self::new(settings) }
     }
 
-    /// Signs and zeros, once homing has completed.
-    #[must_use]
-    pub fn calibration(&self) -> Option<Calibration> {
-        self.measured.map(|rig| rig.calibration)
-    }
-
     /// Everything that homing has measured, once it has completed.
     #[must_use]
     pub fn measured(&self) -> Option<MeasuredRig> {

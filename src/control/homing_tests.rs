@@ -12,7 +12,7 @@ fn home(device: &mut PlantDevice, settings: &HomingSettings) -> (Ending, Option<
     let mut homing = Homing::new(settings);
     let report = drive(device, &clock, &mut homing, None, &AtomicBool::new(false)).unwrap();
     assert!(!device.armed);
-    (report.outcome.ending, homing.calibration())
+    (report.outcome.ending, homing.measured().map(|rig| rig.calibration))
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn a_qube_that_neither_moves_nor_draws_current_is_not_homed() {
         output.ending
     });
     assert_eq!(ending, Some(Ending::Fault(Fault::MotorDead)), "a motor without current passes");
-    assert_eq!(homing.calibration(), None);
+    assert_eq!(homing.measured(), None);
 }
 
 #[test]

@@ -75,7 +75,7 @@ pub fn rollout(
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
     drive(&mut device, &clock, &mut homing, None, &stop).expect("an armed board");
-    let calibration = homing.calibration()?;
+    let calibration = homing.measured()?.calibration;
     let settings = TickSettings {
         calibration,
         safety_box: SafetyBox::THESIS,

@@ -169,7 +169,7 @@ fn play_until(start: &Start, off: Option<(f64, f64)>) -> Trial {
     let mut off_s = seconds(&clock);
     let mut false_results = 0;
     if ending == Ending::Completed {
-        let calibration = homing.calibration().expect("a homed Qube");
+        let calibration = homing.measured().expect("a homed Qube").calibration;
         while seconds(&clock) < LONGEST_S {
             let settings = TickSettings {
                 calibration,

@@ -176,7 +176,7 @@ fn drive_qube(seed: u64, rules: TickRules) -> Counted {
         return Counted { qubes: 1, not_homed: vec![seed], ..Counted::default() };
     }
     let settings = TickSettings {
-        calibration: homing.calibration().expect("a homed Qube"),
+        calibration: homing.measured().expect("a homed Qube").calibration,
         safety_box: SafetyBox::THESIS,
         start_theta_rad: 0.0,
         rules,

@@ -51,7 +51,7 @@ fn rollout_on(settings: EmulatorSettings, controller: impl Controller) -> Ending
         settings.effects
     );
     let settings = TickSettings {
-        calibration: homing.calibration().expect("a homed Qube"),
+        calibration: homing.measured().expect("a homed Qube").calibration,
         start_theta_rad: 0.1 * (seed as f64).sin(),
         ..RolloutPlan::single("test", "test").header().settings
     };

@@ -44,7 +44,7 @@ impl Rig {
         max_steps: u32,
     ) -> RolloutOutcome {
         let settings = TickSettings {
-            calibration: self.homing.calibration().expect("a homed Qube"),
+            calibration: self.homing.measured().expect("a homed Qube").calibration,
             max_steps,
             start_theta_rad: 0.1 * (seed as f64).sin(),
             ..RolloutPlan::single("test", "test").header().settings

@@ -34,7 +34,7 @@ fn rollout_by(rules: TickRules, fault: Option<EmulatorFault>) -> Rollout {
     let homed = drive(&mut device, &clock, &mut homing, None, &stop).unwrap();
     assert_eq!(homed.outcome.ending, Ending::Completed);
     let settings = TickSettings {
-        calibration: homing.calibration().unwrap(),
+        calibration: homing.measured().unwrap().calibration,
         safety_box: SafetyBox::THESIS,
         rules,
         ..RolloutPlan::single("counts", "classical").header().settings
