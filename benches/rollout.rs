@@ -13,7 +13,7 @@ use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::estimation::EstimatorSettings;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
-use qube_hil::safety::SafetyBox;
+use qube_hil::safety::{MotorHeat, SafetyBox};
 use qube_hil::telemetry::TickSettings;
 
 fn virtual_rollout(criterion: &mut Criterion) {
@@ -22,7 +22,8 @@ fn virtual_rollout(criterion: &mut Criterion) {
     device.hello().expect("an emulated Qube answers");
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
-    drive(&mut device, &clock, &mut homing, None, &stop).expect("the Qube is homed");
+    drive(&mut device, &clock, &mut homing, &mut MotorHeat::default(), None, &stop)
+        .expect("the Qube is homed");
     let settings = TickSettings {
         calibration: homing.measured().expect("homing has found the middle").calibration,
         estimator: EstimatorSettings::default(),
@@ -43,8 +44,15 @@ fn virtual_rollout(criterion: &mut Criterion) {
             bencher.iter(|| {
                 let (mut producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
                 let mut tick = Tick::new(&settings, policy.clone());
-                drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop)
-                    .expect("the rollout ends without a fault")
+                drive(
+                    &mut device,
+                    &clock,
+                    &mut tick,
+                    &mut MotorHeat::default(),
+                    Some(&mut producer),
+                    &stop,
+                )
+                .expect("the rollout ends without a fault")
             });
         });
     }

@@ -28,7 +28,7 @@ use qube_hil::qube::{
     DomainParameter, Measurement, NonidealDynamics, Profile, QubeModel, RewardWeights, State,
     counts, runge_kutta_4,
 };
-use qube_hil::safety::{Guard, SafetyBox};
+use qube_hil::safety::{Guard, MotorHeat, SafetyBox};
 use qube_hil::scoring::criterion::{SUCCESS_RETURN, balanced_to_the_end};
 use qube_hil::scoring::return_of;
 use qube_hil::telemetry::{Ending, Phase, TickRecord, TickSettings};
@@ -282,8 +282,9 @@ impl Tally {
         let stop = AtomicBool::new(false);
         let mut homing = Homing::new(&HomingSettings::default());
         self.rollouts += 1;
-        let homed =
-            device.hello().is_ok() && drive(&mut device, &clock, &mut homing, None, &stop).is_ok();
+        let homed = device.hello().is_ok()
+            && drive(&mut device, &clock, &mut homing, &mut MotorHeat::default(), None, &stop)
+                .is_ok();
         let Some(measured) = homing.measured().filter(|_| homed) else { return };
         let settings = TickSettings {
             calibration: measured.calibration,
@@ -298,7 +299,14 @@ impl Tally {
         };
         let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
         let mut tick = Tick::new(&settings, policy.clone());
-        let Ok(report) = drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop) else {
+        let Ok(report) = drive(
+            &mut device,
+            &clock,
+            &mut tick,
+            &mut MotorHeat::default(),
+            Some(&mut producer),
+            &stop,
+        ) else {
             return;
         };
         let records: Vec<TickRecord> = std::iter::from_fn(|| consumer.pop().ok()).collect();

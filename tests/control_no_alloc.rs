@@ -25,7 +25,7 @@ use qube_hil::qube::{
     State,
 };
 use qube_hil::rig::RolloutPlan;
-use qube_hil::safety::{ForesightSettings, IdentifiedQube, Limit, SafetyBox};
+use qube_hil::safety::{ForesightSettings, IdentifiedQube, Limit, MotorHeat, SafetyBox};
 use qube_hil::telemetry::{Ending, RolloutOutcome, TickSettings};
 
 thread_local! {
@@ -124,7 +124,8 @@ fn driven_until(
 ) -> RolloutOutcome {
     let (mut producer, _consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
     ALLOCATIONS.set(0);
-    let report = drive(device, clock, motion, Some(&mut producer), stop).expect("the Qube arms");
+    let report = drive(device, clock, motion, &mut MotorHeat::default(), Some(&mut producer), stop)
+        .expect("the Qube arms");
     assert_eq!(ALLOCATIONS.get(), 0, "{:?}", report.outcome);
     report.outcome
 }

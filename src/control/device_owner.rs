@@ -6,7 +6,7 @@ use super::latched_fault::{LatchedFault, ShownRollout};
 use super::reconnect::{HelloRetries, greet_until_answered};
 use super::{
     ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
-    Motion, Moved, Tick, drive_warm,
+    Motion, Moved, Tick, drive,
 };
 use crate::clock::Clock;
 use crate::device::{Device, DeviceError, Identity};
@@ -204,7 +204,7 @@ impl DeviceOwner {
         records: Option<&mut rtrb::Producer<TickRecord>>,
     ) -> Result<DriveReport, ControlError> {
         let (device, clock) = (&mut *self.device, &*self.clock);
-        let driven = drive_warm(device, clock, motion, &mut self.motor.heat, records, &self.stop);
+        let driven = drive(device, clock, motion, &mut self.motor.heat, records, &self.stop);
         self.motor.switched_off(clock);
         match driven {
             Ok(report) => {

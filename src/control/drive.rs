@@ -59,25 +59,11 @@ impl DriveReport {
 /// `None`. Only a controller that another program supplies, such as one in Python, may lock and
 /// wait for its answer, at most until a deadline within the tick.
 ///
-/// The motor counts as cold, and its heat afterwards is not returned; see [`drive_warm`].
+/// `heat` is the motor's heat before the motion, and becomes its heat afterwards.
 ///
 /// # Errors
 /// The device could not be armed; nothing has moved then.
 pub fn drive(
-    device: &mut dyn Device,
-    clock: &dyn Clock,
-    motion: &mut dyn Motion,
-    records: Option<&mut rtrb::Producer<TickRecord>>,
-    stop: &AtomicBool,
-) -> Result<DriveReport, DeviceError> {
-    drive_warm(device, clock, motion, &mut MotorHeat::default(), records, stop)
-}
-
-/// Drives a motion like [`drive()`] with a motor that may be warm: reads and updates `heat`.
-///
-/// # Errors
-/// As [`drive()`].
-pub fn drive_warm(
     device: &mut dyn Device,
     clock: &dyn Clock,
     motion: &mut dyn Motion,
@@ -294,7 +280,10 @@ mod tests {
         let clock = SleepyClock { time: device.clock.clone(), file: file.to_owned() };
         let stop = AtomicBool::new(false);
         let driven = catch_unwind(AssertUnwindSafe(|| {
-            drive(&mut device, &clock, &mut homing(), None, &stop).unwrap().outcome.ending
+            drive(&mut device, &clock, &mut homing(), &mut MotorHeat::default(), None, &stop)
+                .unwrap()
+                .outcome
+                .ending
         }));
         (driven.ok(), most_openings.load(Ordering::Relaxed))
     }
@@ -324,7 +313,17 @@ mod tests {
         let device = PlantDevice::new(State::default());
         let clock = SleepyClock { time: device.clock.clone(), file: file.clone() };
         let stop = AtomicBool::new(false);
-        assert!(drive(&mut Unarmed(device), &clock, &mut homing(), None, &stop).is_err());
+        assert!(
+            drive(
+                &mut Unarmed(device),
+                &clock,
+                &mut homing(),
+                &mut MotorHeat::default(),
+                None,
+                &stop
+            )
+            .is_err()
+        );
         assert_eq!(openings_of(&file), 0, "the file is closed if the device does not arm");
     }
 }

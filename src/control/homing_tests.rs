@@ -5,12 +5,21 @@ use super::plant_device::{PlantDevice, TestFault};
 use super::{Homing, HomingMethod, HomingSettings, Motion, TickInput, drive};
 use crate::estimation::Calibration;
 use crate::qube::{COUNTS_PER_REVOLUTION, Measurement, State, Status, counts};
+use crate::safety::MotorHeat;
 use crate::telemetry::{Ending, Fault};
 
 fn home(device: &mut PlantDevice, settings: &HomingSettings) -> (Ending, Option<Calibration>) {
     let clock = device.clock.clone();
     let mut homing = Homing::new(settings);
-    let report = drive(device, &clock, &mut homing, None, &AtomicBool::new(false)).unwrap();
+    let report = drive(
+        device,
+        &clock,
+        &mut homing,
+        &mut MotorHeat::default(),
+        None,
+        &AtomicBool::new(false),
+    )
+    .unwrap();
     assert!(!device.armed);
     (report.outcome.ending, homing.measured().map(|rig| rig.calibration))
 }
@@ -89,7 +98,9 @@ fn after_a_fault_the_arm_must_have_been_at_rest_for_a_second() {
         let mut device = PlantDevice::new(State { alpha_dot, ..State::default() });
         let clock = device.clock.clone();
         let stop = AtomicBool::new(false);
-        let report = drive(&mut device, &clock, &mut homing, None, &stop).unwrap();
+        let report =
+            drive(&mut device, &clock, &mut homing, &mut MotorHeat::default(), None, &stop)
+                .unwrap();
         assert_eq!(report.outcome.ending, Ending::Completed);
         device.voltages_mv.len()
     };
@@ -135,7 +146,15 @@ fn homing_that_finds_no_rest_ends_after_60_s() {
     };
     let clock = device.clock.clone();
     let mut homing = Homing::new(&HomingSettings::default());
-    let report = drive(&mut device, &clock, &mut homing, None, &AtomicBool::new(false)).unwrap();
+    let report = drive(
+        &mut device,
+        &clock,
+        &mut homing,
+        &mut MotorHeat::default(),
+        None,
+        &AtomicBool::new(false),
+    )
+    .unwrap();
     assert_eq!(report.outcome.ending, Ending::Fault(Fault::HomingTimedOut));
     let last = report.last_ticks.last().unwrap();
     assert_eq!(last.tick, 6000, "the tick after 60 s is not the last (ticks count from 0)");
@@ -180,6 +199,14 @@ fn nothing_that_happens_while_the_arm_leaves_a_stop_hides_the_fault_that_was_fou
         interrupt.store(sample > until, Ordering::Relaxed);
         None
     });
-    let report = drive(&mut device, &clock, &mut Homing::new(&settings), None, &stop).unwrap();
+    let report = drive(
+        &mut device,
+        &clock,
+        &mut Homing::new(&settings),
+        &mut MotorHeat::default(),
+        None,
+        &stop,
+    )
+    .unwrap();
     assert_eq!(report.outcome.ending, Ending::Fault(Fault::TravelWrong));
 }

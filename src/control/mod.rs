@@ -18,7 +18,7 @@
 //! use qube_hil::device::emulator::EmulatorSettings;
 //! use qube_hil::device::{Device, SerialLink};
 //! use qube_hil::policy::{ClassicalController, ClassicalGains};
-//! use qube_hil::safety::SafetyBox;
+//! use qube_hil::safety::{MotorHeat, SafetyBox};
 //! use qube_hil::rig::RolloutPlan;
 //! use qube_hil::telemetry::{Ending, TickSettings};
 //!
@@ -26,8 +26,9 @@
 //! let mut device = SerialLink::in_process(EmulatorSettings::default(), clock.clone());
 //! let stop = AtomicBool::new(false);
 //! device.hello()?;
+//! let mut heat = MotorHeat::default();
 //! let mut homing = Homing::new(&HomingSettings::default());
-//! drive(&mut device, &clock, &mut homing, None, &stop)?;
+//! drive(&mut device, &clock, &mut homing, &mut heat, None, &stop)?;
 //! let measured = homing.measured().ok_or("the arm was not homed")?;
 //!
 //! let settings = TickSettings {
@@ -38,7 +39,7 @@
 //!     ..RolloutPlan::single("example", "classical").header().settings
 //! };
 //! let mut tick = Tick::new(&settings, ClassicalController::new(ClassicalGains::default()));
-//! let report = drive(&mut device, &clock, &mut tick, None, &stop)?;
+//! let report = drive(&mut device, &clock, &mut tick, &mut heat, None, &stop)?;
 //! assert_eq!(report.outcome.ending, Ending::Completed);
 //! assert_eq!(report.outcome.steps, 600);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -96,7 +97,7 @@ pub use count_range::CountRange;
 pub use current_watch::WEAK_A_V;
 pub use device_loss::DeviceLoss;
 pub use device_owner::Homed;
-pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive, drive_warm};
+pub use drive::{DriveReport, LONGEST_SAMPLE_TIMEOUT_NS, SAMPLE_TIMEOUT_NS, drive};
 pub use error::{ControlError, ThreadGone};
 pub use homing::Homing;
 pub use homing_settings::{

@@ -370,12 +370,21 @@ mod tests {
     use super::super::plant_device::PlantDevice;
     use super::*;
     use crate::qube::{HARD_STOP_RAD, RAD_PER_COUNT};
+    use crate::safety::MotorHeat;
     use crate::telemetry::Fault;
 
     fn probed(device: &mut PlantDevice, signs: Calibration) -> ProbeTrace {
         let clock = device.clock.clone();
         let mut probe = SignProbe::new(&PlantModel::QUBE, signs, 0.25);
-        let report = drive(device, &clock, &mut probe, None, &AtomicBool::new(false)).unwrap();
+        let report = drive(
+            device,
+            &clock,
+            &mut probe,
+            &mut MotorHeat::default(),
+            None,
+            &AtomicBool::new(false),
+        )
+        .unwrap();
         assert_eq!(report.outcome.ending, Ending::Completed);
         assert!(!device.armed);
         assert!(device.voltages_mv.iter().all(|voltage_mv| voltage_mv.abs() <= 1000));
@@ -400,7 +409,15 @@ mod tests {
         device.stuck_mv = Some(3000);
         let clock = device.clock.clone();
         let mut probe = SignProbe::new(&PlantModel::QUBE, Calibration::IDENTITY, 0.25);
-        let report = drive(&mut device, &clock, &mut probe, None, &AtomicBool::new(false)).unwrap();
+        let report = drive(
+            &mut device,
+            &clock,
+            &mut probe,
+            &mut MotorHeat::default(),
+            None,
+            &AtomicBool::new(false),
+        )
+        .unwrap();
         assert_eq!(report.outcome.ending, Ending::Fault(Fault::VoltageDiffers));
         assert!(!device.armed && device.voltages_mv.len() < 10, "{:?}", device.voltages_mv);
         assert!(device.furthest_rad < 0.5, "{} rad", device.furthest_rad);
@@ -419,7 +436,9 @@ mod tests {
             });
             let clock = device.clock.clone();
             let mut probe = SignProbe::new(&PlantModel::QUBE, Calibration::IDENTITY, 0.25);
-            let report = drive(&mut device, &clock, &mut probe, None, &stop).unwrap();
+            let report =
+                drive(&mut device, &clock, &mut probe, &mut MotorHeat::default(), None, &stop)
+                    .unwrap();
             assert_eq!(report.outcome.ending, Ending::Stopped);
             let driven = device.voltages_mv.iter().filter(|voltage_mv| **voltage_mv != 0).count();
             assert!(driven_ticks.contains(&driven), "{stopped_at}: {:?}", device.voltages_mv);

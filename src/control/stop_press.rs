@@ -201,6 +201,7 @@ mod tests {
     use super::super::plant_device::PlantDevice;
     use super::*;
     use crate::qube::HARD_STOP_RAD;
+    use crate::safety::MotorHeat;
     use crate::telemetry::Fault;
 
     fn pressed(theta: f64, push_v: f64) -> (PressOutcome, PlantDevice) {
@@ -213,7 +214,15 @@ mod tests {
             200,
             PressKind::Rehearsal,
         );
-        let report = drive(&mut device, &clock, &mut press, None, &AtomicBool::new(false)).unwrap();
+        let report = drive(
+            &mut device,
+            &clock,
+            &mut press,
+            &mut MotorHeat::default(),
+            None,
+            &AtomicBool::new(false),
+        )
+        .unwrap();
         assert_eq!(report.outcome.ending, Ending::Completed);
         assert!(!device.armed);
         (press.outcome(), device)
@@ -237,7 +246,15 @@ mod tests {
         let clock = device.clock.clone();
         let signs = Calibration::IDENTITY;
         let mut press = StopPress::new(&PlantModel::QUBE, signs, 0.5, 200, PressKind::Test);
-        let report = drive(&mut device, &clock, &mut press, None, &AtomicBool::new(false)).unwrap();
+        let report = drive(
+            &mut device,
+            &clock,
+            &mut press,
+            &mut MotorHeat::default(),
+            None,
+            &AtomicBool::new(false),
+        )
+        .unwrap();
         assert_eq!(report.outcome.ending, Ending::Fault(Fault::VoltageDiffers));
         assert!(!device.armed && device.voltages_mv.len() < 10, "{:?}", device.voltages_mv);
     }

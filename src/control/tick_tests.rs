@@ -10,7 +10,7 @@ use crate::clock::VirtualClock;
 use crate::estimation::{Calibration, EstimatorSettings, ObserverSettings};
 use crate::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use crate::qube::{DomainParameters, Measurement, QubeModel, State, Status, wrap_angle};
-use crate::safety::{Limit, SafetyBox};
+use crate::safety::{Limit, MotorHeat, SafetyBox};
 use crate::telemetry::{Ending, Fault, Phase, TickRecord, TickRules, TickSettings};
 
 fn settings() -> TickSettings {
@@ -48,7 +48,9 @@ fn rollout_until(
     let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
     let mut tick = Tick::new(settings, policy);
     let clock = device.clock.clone();
-    let report = drive(device, &clock, &mut tick, Some(&mut producer), stop).unwrap();
+    let report =
+        drive(device, &clock, &mut tick, &mut MotorHeat::default(), Some(&mut producer), stop)
+            .unwrap();
     assert!(!device.armed, "the amplifier stays on");
     (report, std::iter::from_fn(|| consumer.pop().ok()).collect())
 }
@@ -127,7 +129,15 @@ fn no_observer_however_wrong_moves_the_limits_of_the_box() {
     let mut tick = Tick::new(&settings, outward());
     let stop = AtomicBool::new(false);
     let (mut producer, mut consumer) = rtrb::RingBuffer::new(RING_CAPACITY);
-    let report = drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
+    let report = drive(
+        &mut device,
+        &clock,
+        &mut tick,
+        &mut MotorHeat::default(),
+        Some(&mut producer),
+        &stop,
+    )
+    .unwrap();
     assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Theta));
     let records: Vec<TickRecord> = std::iter::from_fn(|| consumer.pop().ok()).collect();
     let first = records.iter().position(|record| record.phase == Phase::Braking).unwrap();
@@ -145,7 +155,8 @@ fn under_foresight_the_arm_comes_back_and_never_touches_its_stop() {
     let clock = device.clock.clone();
     let mut tick = Tick::new(&settings, outward());
     let stop = AtomicBool::new(false);
-    let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    let report =
+        drive(&mut device, &clock, &mut tick, &mut MotorHeat::default(), None, &stop).unwrap();
     assert_eq!(report.outcome.ending, Ending::LeftBox(Limit::Foresight));
     assert_eq!(tick.control_state(), ControlState::Ready);
     assert!(device.furthest_rad < 2.2, "{} rad", device.furthest_rad);
@@ -159,7 +170,8 @@ fn foresight_ends_no_swing_up_of_a_nominal_qube() {
     let clock = device.clock.clone();
     let mut tick = Tick::new(&settings, classical());
     let stop = AtomicBool::new(false);
-    let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    let report =
+        drive(&mut device, &clock, &mut tick, &mut MotorHeat::default(), None, &stop).unwrap();
     assert_eq!(report.outcome.ending, Ending::Completed);
     assert_eq!(tick.control_state(), ControlState::Ready);
 }
@@ -201,7 +213,8 @@ fn a_policy_receives_the_voltage_that_the_motor_had_in_each_period_of_its_rollou
     let mut tick = Tick::new(&settings(), &mut listener);
     let clock = device.clock.clone();
     let stop = AtomicBool::new(false);
-    drive(&mut device, &clock, &mut tick, Some(&mut producer), &stop).unwrap();
+    drive(&mut device, &clock, &mut tick, &mut MotorHeat::default(), Some(&mut producer), &stop)
+        .unwrap();
     let records: Vec<TickRecord> = std::iter::from_fn(|| consumer.pop().ok()).collect();
     let mut expected_v = Vec::new();
     for pair in records.windows(2) {
@@ -487,7 +500,15 @@ fn a_policy_whose_decisions_take_longer_than_a_period_is_a_fault() {
         let gains = ClassicalGains { pump_v_per_j: 0.0, ..ClassicalGains::default() };
         let policy = Slow(ClassicalController::new(gains), clock.clone());
         let mut tick = Tick::new(&TickSettings { rules, ..settings() }, policy);
-        let report = drive(&mut device, &clock, &mut tick, None, &AtomicBool::new(false)).unwrap();
+        let report = drive(
+            &mut device,
+            &clock,
+            &mut tick,
+            &mut MotorHeat::default(),
+            None,
+            &AtomicBool::new(false),
+        )
+        .unwrap();
         assert_eq!(report.outcome.ending, ending);
         assert!(report.outcome.missed_deadlines > 10);
     }
@@ -499,9 +520,11 @@ fn a_rollout_that_has_ended_ends_at_once_when_it_is_driven_again() {
     let clock = device.clock.clone();
     let stop = AtomicBool::new(false);
     let mut tick = Tick::new(&settings(), classical());
-    let first = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    let first =
+        drive(&mut device, &clock, &mut tick, &mut MotorHeat::default(), None, &stop).unwrap();
     let sent = device.voltages_mv.len();
-    let again = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    let again =
+        drive(&mut device, &clock, &mut tick, &mut MotorHeat::default(), None, &stop).unwrap();
     assert_eq!(again.outcome.ending, first.outcome.ending);
     assert_eq!(device.voltages_mv.len(), sent);
     assert!(!device.armed);

@@ -1,5 +1,5 @@
 use super::{Rig, RigError};
-use crate::control::{PressKind, PressOutcome, StopPress, drive_warm, fault_after};
+use crate::control::{PressKind, PressOutcome, StopPress, drive, fault_after};
 use crate::device::DeviceError;
 use crate::telemetry::{Ending, Fault, MotorState};
 
@@ -33,7 +33,7 @@ impl Rig {
                 return Err(DeviceError::Restarted { port: identity.port });
             }
             let mut press = StopPress::new(&plant, calibration, push_v, ticks, kind);
-            let report = drive_warm(device, clock, &mut press, heat, None, stop)?;
+            let report = drive(device, clock, &mut press, heat, None, stop)?;
             Ok(Pressed {
                 ending: report.outcome.ending,
                 outcome: press.outcome(),

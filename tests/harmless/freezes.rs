@@ -14,7 +14,7 @@ use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Profile, QubeModel};
 use qube_hil::rig::RolloutPlan;
-use qube_hil::safety::SafetyBox;
+use qube_hil::safety::{MotorHeat, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
 use super::wire::SharedWire;
@@ -74,7 +74,8 @@ pub fn rollout(
     device.hello().expect("an emulated Qube answers");
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
-    drive(&mut device, &clock, &mut homing, None, &stop).expect("an armed board");
+    drive(&mut device, &clock, &mut homing, &mut MotorHeat::default(), None, &stop)
+        .expect("an armed board");
     let calibration = homing.measured()?.calibration;
     let settings = TickSettings {
         calibration,
@@ -84,7 +85,8 @@ pub fn rollout(
     };
     let mut tick = Tick::new(&settings, policy.clone());
     let mut noted = Noted { tick: &mut tick, clock: clock.clone(), ran_s: None };
-    let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("an armed board");
+    let report = drive(&mut device, &clock, &mut noted, &mut MotorHeat::default(), None, &stop)
+        .expect("an armed board");
     let ran_s = noted.ran_s;
     let sample = device.sample(clock.now_ns() + 6_000_000).ok()?;
     let zero_off_rad = (calibration.angles_rad(&sample).0 - wire.state().theta).abs();

@@ -12,6 +12,7 @@ use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains};
 use qube_hil::qube::{CONTROL_PERIOD_NS, State};
 use qube_hil::rig::RolloutPlan;
+use qube_hil::safety::MotorHeat;
 use qube_hil::telemetry::{Ending, TickSettings};
 
 use super::case::{Case, Start};
@@ -99,7 +100,8 @@ impl Notes {
         let clock = self.clock.clone();
         let stop = AtomicBool::new(false);
         let mut watched = Watched { motion, notes: self };
-        let report = drive(device, &clock, &mut watched, None, &stop).expect("an armed board");
+        let report = drive(device, &clock, &mut watched, &mut MotorHeat::default(), None, &stop)
+            .expect("an armed board");
         report.outcome.ending
     }
 

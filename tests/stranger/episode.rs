@@ -3,7 +3,7 @@ use std::sync::atomic::Ordering;
 use qube_hil::control::{Tick, drive};
 use qube_hil::estimation::Calibration;
 use qube_hil::qube::{PlantModel, State};
-use qube_hil::safety::{Guard, SafetyBox};
+use qube_hil::safety::{Guard, MotorHeat, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -141,7 +141,11 @@ fn run(scenario: &Scenario, settings: &TickSettings, genes: &[f64], shows: bool)
         qube.rollout_began_ns = qube.plant.now_ns;
         let mut motion =
             Watched { motion: Tick::new(settings, policy), progress: progress.clone() };
-        let Ok(report) = drive(&mut qube, &clock, &mut motion, None, &stop) else { break };
+        let Ok(report) =
+            drive(&mut qube, &clock, &mut motion, &mut MotorHeat::default(), None, &stop)
+        else {
+            break;
+        };
         endings.push(report.outcome.ending);
         if qube.hit_in.is_some() || report.disarmed.is_err() {
             break;

@@ -17,7 +17,7 @@ use qube_hil::qube::{
     QubeModel, State,
 };
 use qube_hil::rig::RolloutPlan;
-use qube_hil::safety::SafetyBox;
+use qube_hil::safety::{MotorHeat, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -171,7 +171,8 @@ fn drive_qube(seed: u64, rules: TickRules) -> Counted {
     device.hello().expect("an emulated Qube answers");
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
-    let homed = drive(&mut device, &clock, &mut homing, None, &stop).expect("an armed board");
+    let homed = drive(&mut device, &clock, &mut homing, &mut MotorHeat::default(), None, &stop)
+        .expect("an armed board");
     if homed.outcome.ending != Ending::Completed {
         return Counted { qubes: 1, not_homed: vec![seed], ..Counted::default() };
     }
@@ -187,7 +188,8 @@ fn drive_qube(seed: u64, rules: TickRules) -> Counted {
         let begin_ns = clock.now_ns();
         let tick = Tick::new(&settings, BangBang::new(ROLLOUTS * seed + rollout));
         let mut noted = Noted { tick, farthest_rad: 0.0 };
-        let report = drive(&mut device, &clock, &mut noted, None, &stop).expect("an armed board");
+        let report = drive(&mut device, &clock, &mut noted, &mut MotorHeat::default(), None, &stop)
+            .expect("an armed board");
         counted.ticks += (clock.now_ns() - begin_ns) / CONTROL_PERIOD_NS;
         let Ending::Fault(fault) = report.outcome.ending else { continue };
         match fault {

@@ -11,7 +11,7 @@ use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
 use qube_hil::qube::{Profile, State};
 use qube_hil::rig::RolloutPlan;
-use qube_hil::safety::Limit;
+use qube_hil::safety::{Limit, MotorHeat};
 use qube_hil::telemetry::{Ending, TickSettings};
 
 /// An untrained policy, different for each seed.
@@ -43,7 +43,8 @@ fn rollout_on(settings: EmulatorSettings, controller: impl Controller) -> Ending
     device.hello().expect("an emulated Qube answers");
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
-    let homed = drive(&mut device, &clock, &mut homing, None, &stop).expect("an armed board");
+    let homed = drive(&mut device, &clock, &mut homing, &mut MotorHeat::default(), None, &stop)
+        .expect("an armed board");
     assert_eq!(
         homed.outcome.ending,
         Ending::Completed,
@@ -56,7 +57,10 @@ fn rollout_on(settings: EmulatorSettings, controller: impl Controller) -> Ending
         ..RolloutPlan::single("test", "test").header().settings
     };
     let mut tick = Tick::new(&settings, controller);
-    drive(&mut device, &clock, &mut tick, None, &stop).expect("an armed board").outcome.ending
+    drive(&mut device, &clock, &mut tick, &mut MotorHeat::default(), None, &stop)
+        .expect("an armed board")
+        .outcome
+        .ending
 }
 
 /// Endings of rollouts with the three kinds of policy in turn.

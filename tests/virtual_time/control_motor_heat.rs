@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use qube_hil::clock::VirtualClock;
-use qube_hil::control::{Homing, HomingSettings, Tick, drive_warm};
+use qube_hil::control::{Homing, HomingSettings, Tick, drive};
 use qube_hil::device::emulator::EmulatorSettings;
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains, Controller, Policy};
@@ -31,7 +31,7 @@ impl Rig {
         let mut homing = Homing::new(&HomingSettings::default());
         let mut heat = MotorHeat::default();
         let stop = AtomicBool::new(false);
-        let report = drive_warm(&mut device, &clock, &mut homing, &mut heat, None, &stop).unwrap();
+        let report = drive(&mut device, &clock, &mut homing, &mut heat, None, &stop).unwrap();
         assert_eq!(report.outcome.ending, Ending::Completed, "homing");
         Self { device, clock, homing, heat }
     }
@@ -51,7 +51,7 @@ impl Rig {
         };
         let mut tick = Tick::new(&settings, controller);
         let stop = AtomicBool::new(false);
-        drive_warm(&mut self.device, &self.clock, &mut tick, &mut self.heat, None, &stop)
+        drive(&mut self.device, &self.clock, &mut tick, &mut self.heat, None, &stop)
             .expect("an armed board")
             .outcome
     }

@@ -11,7 +11,7 @@ use qube_hil::estimation::Calibration;
 use qube_hil::policy::{ClassicalController, ClassicalGains, Policy};
 use qube_hil::qube::{Measurement, State};
 use qube_hil::rig::RolloutPlan;
-use qube_hil::safety::SafetyBox;
+use qube_hil::safety::{MotorHeat, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickSettings};
 
 /// The delivery of a sample from the device to the tick.
@@ -123,7 +123,8 @@ impl Motion for Constant {
 fn drives(device: &mut PlannedQube, motion: &mut dyn Motion) -> Ending {
     let clock = device.clock.clone();
     let report =
-        drive(device, &clock, motion, None, &AtomicBool::new(false)).expect("an armed board");
+        drive(device, &clock, motion, &mut MotorHeat::default(), None, &AtomicBool::new(false))
+            .expect("an armed board");
     assert!(report.disarmed.is_ok());
     report.outcome.ending
 }

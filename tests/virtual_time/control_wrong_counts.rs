@@ -8,7 +8,7 @@ use qube_hil::device::emulator::{EmulatorFault, EmulatorSettings};
 use qube_hil::device::{Device, SerialLink};
 use qube_hil::policy::{ClassicalController, ClassicalGains};
 use qube_hil::rig::RolloutPlan;
-use qube_hil::safety::SafetyBox;
+use qube_hil::safety::{MotorHeat, SafetyBox};
 use qube_hil::telemetry::{Ending, Fault, TickRules, TickSettings};
 
 /// A rollout of the classical controller on the nominal Qube, in the box alone.
@@ -31,7 +31,8 @@ fn rollout_by(rules: TickRules, fault: Option<EmulatorFault>) -> Rollout {
     device.hello().unwrap();
     let stop = AtomicBool::new(false);
     let mut homing = Homing::new(&HomingSettings::default());
-    let homed = drive(&mut device, &clock, &mut homing, None, &stop).unwrap();
+    let homed =
+        drive(&mut device, &clock, &mut homing, &mut MotorHeat::default(), None, &stop).unwrap();
     assert_eq!(homed.outcome.ending, Ending::Completed);
     let settings = TickSettings {
         calibration: homing.measured().unwrap().calibration,
@@ -42,7 +43,8 @@ fn rollout_by(rules: TickRules, fault: Option<EmulatorFault>) -> Rollout {
     let policy = ClassicalController::new(ClassicalGains::default());
     let began_s = now_s();
     let mut tick = Tick::new(&settings, policy);
-    let report = drive(&mut device, &clock, &mut tick, None, &stop).unwrap();
+    let report =
+        drive(&mut device, &clock, &mut tick, &mut MotorHeat::default(), None, &stop).unwrap();
     Rollout { ending: report.outcome.ending, began_s, ended_s: now_s() }
 }
 

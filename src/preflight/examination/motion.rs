@@ -2,7 +2,7 @@ use super::evidence::{Evidence, Pendulum, PushEffect};
 use super::examined_device::ExaminedDevice;
 use super::rest::Window;
 use super::{Examination, ExaminationSettings, Interruption, OtherSigns, rest};
-use crate::control::{ProbeTrace, SignProbe, drive_warm, fault_after};
+use crate::control::{ProbeTrace, SignProbe, drive, fault_after};
 use crate::device::LinkFault;
 use crate::estimation::Calibration;
 use crate::qube::PlantModel;
@@ -202,7 +202,7 @@ impl Pushes<'_, '_> {
         let ExaminedDevice { device, clock, stop, .. } = &mut *self.examined;
         device.hello()?;
         let mut probe = Box::new(SignProbe::new(self.plant, self.signs, push_v));
-        let report = drive_warm(*device, *clock, &mut *probe, self.heat, None, stop)?;
+        let report = drive(*device, *clock, &mut *probe, self.heat, None, stop)?;
         // The hello at the end of the examination confirms after a stop that the motor is off.
         if report.outcome.ending == Ending::Stopped {
             return Err(Interruption::Stopped);
