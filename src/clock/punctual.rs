@@ -1,4 +1,4 @@
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::{AwakeProcessors, CPU_DMA_LATENCY, Clock, MonotonicClock, Nanoseconds};
 
@@ -15,7 +15,6 @@ const SPIN_NS: Nanoseconds = 100_000;
 pub struct PunctualClock {
     sleeper: MonotonicClock,
     spin_ns: Nanoseconds,
-    latency_file: PathBuf,
 }
 
 impl PunctualClock {
@@ -23,11 +22,7 @@ impl PunctualClock {
     #[must_use]
     pub fn new() -> Self {
         let processors = std::thread::available_parallelism().map_or(1, usize::from);
-        Self {
-            sleeper: MonotonicClock,
-            spin_ns: if processors > 1 { SPIN_NS } else { 0 },
-            latency_file: CPU_DMA_LATENCY.into(),
-        }
+        Self { sleeper: MonotonicClock, spin_ns: if processors > 1 { SPIN_NS } else { 0 } }
     }
 
     /// Sets the longest spin before a deadline, ns, on a single processor too; values above 100 us
@@ -35,12 +30,6 @@ impl PunctualClock {
     #[must_use]
     pub fn with_spin_ns(self, spin_ns: Nanoseconds) -> Self {
         Self { spin_ns: spin_ns.min(SPIN_NS), ..self }
-    }
-
-    /// Uses another file instead of `/dev/cpu_dma_latency`.
-    #[must_use]
-    pub fn with_latency_file(self, file: &Path) -> Self {
-        Self { latency_file: file.to_owned(), ..self }
     }
 }
 
@@ -69,7 +58,7 @@ impl Clock for PunctualClock {
 
     fn stay_awake(&self) -> Option<AwakeProcessors> {
         // A refusal is silent here, because `enter_realtime` reports it once.
-        AwakeProcessors::hold(&self.latency_file).ok()
+        AwakeProcessors::hold(Path::new(CPU_DMA_LATENCY)).ok()
     }
 }
 
