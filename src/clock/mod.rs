@@ -12,6 +12,7 @@
 //! ```
 
 mod awake;
+mod calendar;
 mod monotonic;
 mod punctual;
 mod realtime;
@@ -21,6 +22,7 @@ mod virtual_clock;
 #[cfg(test)]
 pub(crate) use awake::tests::openings_of;
 pub use awake::{AwakeProcessors, CPU_DMA_LATENCY};
+pub use calendar::since_1970;
 pub use monotonic::MonotonicClock;
 pub use punctual::PunctualClock;
 pub use realtime::{RealtimeRefusals, enter_realtime};

@@ -5,11 +5,11 @@ use std::ffi::OsStr;
 use std::fs::{self, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::exit::Failure;
 use super::failures;
 use super::printable::print_message;
+use crate::clock::since_1970;
 use crate::experiment::{ExperimentFolder, is_irreplaceable};
 use crate::session::{FolderError, SessionPaths};
 use crate::storage::{Disk, Existing, FolderLock, MachineDisk, folder_of, write_new, write_whole};
@@ -85,7 +85,7 @@ impl OutputFile {
             ),
             Err(error) => failures::folder(&error.into()),
         };
-        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let since_1970 = since_1970().unwrap_or_default();
         let name = self.path.file_name().unwrap_or(OsStr::new("result")).to_string_lossy();
         let kept = shelter.join(format!("qube-hil-{}-{name}", since_1970.as_millis()));
         let written = MachineDisk

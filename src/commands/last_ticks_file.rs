@@ -1,14 +1,14 @@
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::PathBuf;
-use std::time::{SystemTime, UNIX_EPOCH};
 
+use crate::clock::since_1970;
 use crate::telemetry::TickRecord;
 
 /// Writes ticks to a new file among the temporary files, one tick a line, and returns its path. It
 /// keeps the end of a homing, which has no recording.
 pub fn write_last_ticks(ticks: &[TickRecord]) -> io::Result<PathBuf> {
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let since_1970 = since_1970().unwrap_or_default();
     let name = format!("qube-hil-homing-{}.jsonl", since_1970.as_millis());
     let path = std::env::temp_dir().join(name);
     let lines = ticks.iter().map(|tick| format!("{}\n", serde_json::json!(tick)));

@@ -1,11 +1,10 @@
 use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::connection::connect;
 use super::{ClockChoice, DeviceChoice, Doubt, DoubtStore, MotorMemory, RigError, RigSettings};
-use crate::clock::{Clock, RealtimeRefusals};
+use crate::clock::{Clock, RealtimeRefusals, since_1970};
 use crate::control::{
     ControlError, ControlThread, DriveReport, HomingSettings, Scheduling, fault_after,
 };
@@ -301,8 +300,8 @@ impl Rig {
     }
 
     pub(super) fn wall_time_ns(&self) -> Option<u64> {
-        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
-        (self.clock == ClockChoice::Wall).then_some(since_1970.as_nanos() as u64)
+        let time = since_1970()?;
+        (self.clock == ClockChoice::Wall).then_some(time.as_nanos() as u64)
     }
 }
 

@@ -1,12 +1,11 @@
 use std::sync::Arc;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use firmware_protocol::WATCHDOG_MS;
 
 use super::card::{CallFailed, Calling, Card};
 use super::library::{Channels, Library, TextProperty};
 use super::{HilAddress, HilError};
-use crate::clock::{Clock, Nanoseconds};
+use crate::clock::{Clock, Nanoseconds, since_1970};
 use crate::device::{AmplifierState, Identity};
 use crate::qube::{MAX_VOLTAGE_V, Measurement, Status};
 
@@ -63,7 +62,6 @@ impl Panel {
         calling: Arc<Calling>,
         clock: Arc<dyn Clock>,
     ) -> Self {
-        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         Self {
             library: Arc::new(library),
             address,
@@ -72,7 +70,7 @@ impl Panel {
             card: None,
             amplifier: AmplifierState::Off,
             base_counts: None,
-            boot_id: since_1970.as_millis() as u16,
+            boot_id: since_1970().unwrap_or_default().as_millis() as u16,
             last: Measurement::default(),
             fed_ns: 0,
             applied_mv: 0,
