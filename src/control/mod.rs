@@ -1,8 +1,8 @@
 //! The real-time thread: the loop of ticks (wait, read, decide, write, record), the motions that it
 //! drives (homing, rollouts, the pushes of an examination), and the watches that end a motion.
 //!
-//! The room may import `clock`, `device`, `estimation`, `policy`, `safety`, `telemetry`, `qube`,
-//! `elementary`; never anything that allocates, locks or touches a file.
+//! The room may import `clock`, `device`, `estimation`, `policy`, `safety`, `telemetry`, `qube` and
+//! `elementary`. Nothing that runs within a tick allocates, locks, logs or touches a file.
 //!
 //! Reading order: [`Tick`] decides, [`drive()`] runs a tick against a device and a clock,
 //! [`ControlThread`] runs [`drive()`] on a thread of its own.

@@ -51,7 +51,8 @@ pub(super) struct Panel {
     /// Time from the last sample to the act that answered it, us, until the next sample reports it.
     sample_to_act_us: Option<u32>,
     failed_acts: u32,
-    /// Why the last attempt to switch the amplifier off failed; `None` once one has succeeded.
+    /// Reason why the last attempt to switch the amplifier off failed; `None` once one has
+    /// succeeded.
     off_failed: Option<HilError>,
 }
 
