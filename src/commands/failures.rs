@@ -242,6 +242,9 @@ fn ended_session(error: SessionError, stop: &Stop, resume: &str) -> Failure {
         SessionError::Ledger(LedgerError::Io { ref source, .. }) if is_full(source) => {
             Failure::failed(format!("{error}. Make room, then continue with {resume}"))
         }
+        SessionError::Ledger(LedgerError::Io { ref source, .. }) if is_bad_place(source) => {
+            Failure::usage(format!("{error}: resume as a user who may write there"))
+        }
         SessionError::Ledger(LedgerError::Damaged { .. } | LedgerError::TooLong { .. }) => {
             Failure::data_lost(error)
         }

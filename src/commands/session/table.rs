@@ -61,7 +61,10 @@ impl SessionTable {
             );
             let _ = writeln!(text, "{}", row.trim_end());
         }
-        let _ = writeln!(text, "      psi: {}", report.psi.names().collect::<Vec<_>>().join(" "));
+        if report.candidates.iter().any(|it| !it.candidate.point.is_empty()) {
+            let names: Vec<_> = report.psi.names().collect();
+            let _ = writeln!(text, "      psi: {}", names.join(" "));
+        }
         if let Some(BestPolicy { candidate, policy }) = &report.best {
             let scored = &report.candidates[*candidate];
             let candidate = &scored.candidate;

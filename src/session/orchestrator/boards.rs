@@ -2,8 +2,8 @@
 
 use super::Session;
 use crate::device::{EMULATOR_KIND, IN_PROCESS};
-use crate::recording::read_on;
 use crate::rig::{DeviceChoice, RigSettings};
+use crate::scoring::read_finished;
 use crate::session::SessionError;
 use crate::telemetry::DeviceFacts;
 
@@ -75,7 +75,8 @@ impl Session {
             Some(self.recording(finished.of_candidate(it.number)))
         });
         let Some(first) = first else { return Ok(None) };
-        Ok(Some(read_on(self.folder.disk(), &first)?.header.device))
+        let (recording, _) = read_finished(self.folder.disk(), &first)?;
+        Ok(Some(recording.header.device))
     }
 }
 
