@@ -96,7 +96,7 @@ pub fn read_plant(json: &str) -> PyResult<PlantModel> {
         return Err(refused(format!("{given}: give a mapping with the entries of a plant file")));
     };
     let table = Map::from_iter([("plant".to_owned(), given.clone())]);
-    check_table("", &table, &every_entry()).map_err(|error| bad_settings(error))?;
+    check_table("", &table, &every_entry()).map_err(bad_settings)?;
     let plant: PlantModel = serde_json::from_value(Value::Object(all.clone()))
         .map_err(|error| refused(error.to_string().replace(" at line 0 column 0", "")))?;
     plant.check().map_err(|error| refused(error.to_string()))?;

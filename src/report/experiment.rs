@@ -285,12 +285,12 @@ fn add_comparisons(page: &mut Page, kind: &str, comparisons: &[&Comparison]) {
         return;
     }
     page.heading(&format!("{}s in pairs", first_upper(kind)));
-    page.paragraph(&format!(
+    page.paragraph(
         "The differences are over pairs of policies of equal number, which have equal seeds. Their p-values are \
          McNemar's exact test and a permutation test, corrected by Holm for the number of comparisons on the plant \
          at the same number of real rollouts. The last column is the share of \
          the pairs in which the second's return is higher; ties count half.",
-    ));
+    );
     let finite = |value: f64, text: String| {
         Cell::Number(if value.is_finite() { text } else { "–".into() })
     };

@@ -1,7 +1,7 @@
 //! Sessions: the method's algorithm, its ledger on disk, and resuming after a crash.
 //!
 //! The room may import `rig`, `scoring`, `jobs`, `learning`, `simulation`, `search`, `surrogate`,
-//! `identification`, `replay`, `recording`, `control`, `device`, `policy`, `estimation`, `safety`,
+//! `identification`, `recording`, `control`, `device`, `policy`, `estimation`, `safety`,
 //! `telemetry`, `storage` and `qube`.
 //!
 //! Reading order: [`SessionState`] computes the state from the ledger's entries, [`next_step`]

@@ -76,8 +76,8 @@ pub(super) fn held_in_range(quantity: Quantity, mean: f64, value: f64) -> f64 {
 const LARGEST_DAMPING: f64 = 10.0;
 
 /// The smallest and the largest value that a quantity can have in draws around a mean. A damping
-/// lies between 0 and [`LARGEST_DAMPING`] times its mean, any other parameter within [`TRUNCATION`]
-/// times the mean on either side of the mean, and a nonideality in the range that can be simulated.
+/// lies between 0 and ten times its mean, any other parameter within [`TRUNCATION`] times the mean
+/// on either side of the mean, and a nonideality in the range that can be simulated.
 /// Without joint deviations draws stay within the [`reach`].
 #[must_use]
 pub fn range_of_draws(quantity: Quantity, mean: f64) -> (f64, f64) {

@@ -245,7 +245,8 @@ mod tests {
             let mut point = space.as_identified();
             point[1] = shift;
             let psi = space.psi(&point).unwrap();
-            let shaped = nominal.clone().shaped_along(&[axis.clone()], &psi, Family::Normal);
+            let shaped =
+                nominal.clone().shaped_along(std::slice::from_ref(&axis), &psi, Family::Normal);
             let damped = shaped.get(damping).mean() / of_damping;
             let driven = shaped.get(back_emf).mean() / of_back_emf;
             assert!((damped - (1.0 + 2.0 * part)).abs() < 1e-9, "{shift}: {damped}");
