@@ -227,7 +227,7 @@ def test_a_wrapper_that_changes_what_a_policy_sees_or_requests_is_refused():
     actor = Named(mlp_extractor=Named(policy_net=hidden), action_net=action)
     for wrapper in [
         gymnasium.wrappers.NormalizeObservation,
-        lambda env: gymnasium.wrappers.RescaleAction(env, -2.0, 2.0),
+        lambda env: gymnasium.wrappers.RescaleAction(env, np.float32(-2.0), np.float32(2.0)),
     ]:
         for env in [wrapper(qube_hil.QubeEnv()), Named(envs=[wrapper(qube_hil.QubeEnv())])]:
             with pytest.raises(qube_hil.PolicyError, match="(NormalizeObservation|RescaleAction) changes"):

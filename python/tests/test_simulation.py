@@ -452,8 +452,11 @@ def test_qubes_around_a_profile_differ_by_its_errors_with_their_correlations():
     assert abs(expected) > 0.2
     found = np.corrcoef([qube[one] for qube in drawn], [qube[other] for qube in drawn])[0, 1]
     assert abs(found - expected) < 0.05
-    mean = distribution[one]["mean"]
-    assert np.mean([qube[one] for qube in drawn]) == pytest.approx(mean, rel=0.01)
+    # A Qube out of its range, such as one with a negative dead zone, is drawn anew, which moves the means by less than
+    # their standard errors.
+    mean, error = distribution[one]["mean"], np.sqrt(covariance(one, one))
+    assert abs(np.mean([qube[one] for qube in drawn]) - mean) < error
+    assert all(qube[name] >= 0.0 for qube in drawn for name in ("D_r", "D_p", "positive_dead_zone_v"))
     # The spread widens the distribution beyond the profile's errors, and a distribution that the caller gives replaces
     # the profile's.
     wide = QubeVectorEnv(2, profile="lab", distributions={"command_delay_s": 0.01})
