@@ -19,10 +19,10 @@ use crate::storage::MachineDisk;
 ///
 /// A session or experiment with --executor puts its trainings into a folder on a file system that
 /// all computers share, and any number of workers do them, one core each. Policies do not depend on
-/// the worker. A training whose worker dies is done by another one. The worker ends when the session or
-/// experiment has ended, or after a time without work (--linger); with --executor folder, where
-/// nobody starts another one, only when the session or experiment has died, too. On SIGTERM it
-/// gives its training back and exits with 143.
+/// the worker. A training whose worker dies is done by another one. The worker ends when the
+/// session or experiment has ended, or after a time without work (--linger); with --executor
+/// folder, where nobody starts another one, only when the session or experiment has died, too. On
+/// SIGTERM it gives its training back and exits with 143.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     qube-hil work /shared/monday/jobs                    # one worker\n  \
