@@ -362,7 +362,7 @@ impl Assembly {
                 Ok(())
             }
             Step::Clipped { lower, upper } => {
-                self.after.clip(spread(&lower, 1)?[0], spread(&upper, 1)?[0]);
+                self.after.clip(spread(&lower, 1)?[0], spread(&upper, 1)?[0])?;
                 Ok(())
             }
         }
@@ -486,13 +486,16 @@ impl After {
         self.limits = if factor < 0.0 { [other, one] } else { [one, other] };
     }
 
-    fn clip(&mut self, lower: f32, upper: f32) {
+    /// Narrows the limits; an error if they leave no range or a bound is not a number.
+    fn clip(&mut self, lower: f32, upper: f32) -> Result<(), ImportError> {
         self.is_begun = true;
-        // `max` and `min` would pass over a bound that is not a number.
-        let [least, most] = self.limits;
-        let is_known = !lower.is_nan() && !upper.is_nan();
-        self.limits =
-            if is_known { [least.max(lower), most.min(upper)] } else { [f32::NAN, f32::NAN] };
+        let limits = [self.limits[0].max(lower), self.limits[1].min(upper)];
+        // `max` and `min` pass over a bound that is not a number.
+        if !(lower <= upper && limits[0] <= limits[1]) {
+            return Err(ImportError::EmptyLimits { lower, upper });
+        }
+        self.limits = limits;
+        Ok(())
     }
 }
 
@@ -522,4 +525,23 @@ fn fold(
     }
     input.fold(layer)?;
     Ok(input.into_bounds())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_of_the_output_that_leave_no_range_are_refused() {
+        for [lower, upper] in [[9.0, -9.0], [f32::NAN, 9.0], [-9.0, f32::NAN], [10.0, 11.0]] {
+            let mut after = After::default();
+            after.clip(-9.0, 9.0).unwrap();
+            let refused = after.clip(lower, upper).unwrap_err();
+            assert!(matches!(refused, ImportError::EmptyLimits { .. }), "{lower} {upper}");
+        }
+        let mut after = After::default();
+        after.multiply(-2.0);
+        after.clip(-9.0, 6.0).unwrap();
+        assert_eq!(after.limits, [-9.0, 6.0]);
+    }
 }

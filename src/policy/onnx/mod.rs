@@ -129,7 +129,8 @@ pub enum ImportError {
         /// Upper limit, V.
         upper_v: f32,
     },
-    /// The lower limit of the output is above the upper one, or one is not a number.
+    /// A limit of the output leaves no range: the lower one is above the upper one, or above an
+    /// earlier limit, or one is not a number.
     #[error(
         "clips the output between {lower} and {upper}, which leaves no range: give a lower limit below the upper one"
     )]
@@ -333,10 +334,6 @@ impl Layers {
         let Self { mut layers, inputs, bounds, activation, output, scale, limits } = self;
         if inputs != layout.len() {
             return Err(ImportError::Inputs { inputs, named: layout.len() });
-        }
-        if limits[0].is_nan() || limits[1].is_nan() || limits[0] > limits[1] {
-            let [lower, upper] = limits;
-            return Err(ImportError::EmptyLimits { lower, upper });
         }
         let [one, other] = limits.map(|limit| limit * action_scale_v);
         let (lower_v, upper_v) = (one.min(other), one.max(other));
