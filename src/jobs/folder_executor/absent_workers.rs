@@ -52,3 +52,38 @@ impl AbsentWorkers {
         Ok(any)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::jobs::folder::{ClaimEnding, Heartbeat, Terms};
+    use crate::storage::MachineDisk;
+
+    #[test]
+    fn waiting_jobs_without_a_worker_are_named_once_an_absence() {
+        let directory = tempfile::tempdir().unwrap();
+        let terms = Terms::new(Duration::from_millis(120), 3);
+        let stale = terms.stale();
+        let folder = JobFolder::create(Arc::new(MachineDisk), directory.path(), terms).unwrap();
+        let mut absent = AbsentWorkers::new(stale);
+        let mut look = |open_jobs| absent.look(&folder, open_jobs).unwrap();
+        assert!(!look(0) && !look(1));
+        std::thread::sleep(stale);
+        assert_eq!([look(1), look(1), look(0)], [true, false, false]);
+        let refusal = directory.path().join("workers/other.refused");
+        std::fs::write(refusal, "another version").unwrap();
+        assert!(!look(1));
+        std::thread::sleep(stale);
+        assert!(look(1), "a worker that refuses counts as a worker");
+        let path = directory.path().join("workers/worker");
+        let worker = Heartbeat::create(&MachineDisk, &path, &Holder::this_process());
+        let worker = worker.unwrap().unwrap();
+        assert!(!look(1));
+        worker.end(&ClaimEnding::Done).unwrap();
+        assert!(!look(1));
+        std::thread::sleep(stale);
+        assert!(look(1), "an absence after a worker has no warning of its own");
+    }
+}
