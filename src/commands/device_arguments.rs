@@ -5,6 +5,7 @@ use clap::ValueEnum;
 use super::chosen_device::{ChosenDevice, EMULATED};
 use super::exit::Failure;
 use super::failures;
+use super::file_kind::FileKind;
 use super::plant_file::PlantArgument;
 use super::printable::print_message;
 use super::profile;
@@ -203,7 +204,8 @@ impl QubeArguments {
             (None, None | Some(EMULATED)) => None,
             (None, Some(_)) => Some(Path::new(QUBE_FILE)).filter(|path| path.exists()),
         };
-        let file = path.map(QubeFile::load).transpose().map_err(Failure::usage)?;
+        let load = |path| QubeFile::load(path).map_err(|error| FileKind::Qube.refused(path, error));
+        let file = path.map(load).transpose()?;
         let port_of_file = file.as_ref().and_then(|file| file.port.clone());
         let choice = match (self.device.as_deref(), path) {
             (Some(EMULATED), _) | (None, None) => DeviceChoice::Emulated,

@@ -23,6 +23,7 @@ mod exit;
 mod experiment;
 mod export;
 mod failures;
+mod file_kind;
 mod guard_argument;
 mod identify;
 mod import;

@@ -5,6 +5,7 @@ use serde::Deserialize;
 use super::chosen_device::ChosenDevice;
 use super::emulated_arguments::{EmulatedArguments, PlantEntry};
 use super::exit::Failure;
+use super::file_kind::FileKind;
 use super::number_arguments::between;
 use crate::experiment::Plant;
 use crate::qube::PlantModel;
@@ -74,8 +75,10 @@ impl PlantArguments {
         let wrong = |reason: String| Failure::usage(format!("{}: {reason}", path.display()));
         let text = crate::storage::read_text(path, crate::storage::SETTINGS_BYTES)
             .map_err(|error| wrong(error.to_string()))?;
-        let file: PlantsFile =
-            toml::from_str(&text).map_err(|error| wrong(toml_message(&error)))?;
+        let file: PlantsFile = toml::from_str(&text).map_err(|error| {
+            let message = format!("{}: {}", path.display(), toml_message(&error));
+            FileKind::Plants.refused(path, message)
+        })?;
         file.plants.into_iter().map(|entry| specimen(entry, path, plant)).collect()
     }
 }

@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use super::exit::Failure;
+use super::file_kind::FileKind;
 use crate::qube::PlantModel;
 use crate::storage::{SETTINGS_BYTES, read_text};
 
@@ -34,5 +35,6 @@ impl PlantArgument {
 fn load(path: &Path) -> Result<PlantModel, Failure> {
     let text = read_text(path, SETTINGS_BYTES)
         .map_err(|error| Failure::usage(format!("{}: {error}", path.display())))?;
-    PlantModel::parse(&text).map_err(|error| Failure::usage(format!("{}: {error}", path.display())))
+    PlantModel::parse(&text)
+        .map_err(|error| FileKind::Plant.refused(path, format!("{}: {error}", path.display())))
 }

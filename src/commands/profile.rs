@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use super::exit::Failure;
+use super::file_kind::FileKind;
 use crate::identification::MissingEffect;
 use crate::qube::{PlantModel, Profile, QubeModel};
 use crate::storage::{SETTINGS_BYTES, read_text};
@@ -92,7 +93,8 @@ fn read(path: &Path, names: &str) -> Result<Profile, Failure> {
         let shown = path.display();
         Failure::usage(format!("{shown}: {error}. Give a profile that identify wrote{names}"))
     })?;
-    Profile::parse(&text).map_err(|error| Failure::usage(format!("{}: {error}", path.display())))
+    Profile::parse(&text)
+        .map_err(|error| FileKind::Profile.refused(path, format!("{}: {error}", path.display())))
 }
 
 /// Reads a profile file of a specimen of this plant.

@@ -6,6 +6,7 @@ use crate::commands::chosen_device::ChosenDevice;
 use crate::commands::destination::{OutputFile, OutputFolder, check_folder};
 use crate::commands::exit::Failure;
 use crate::commands::failures;
+use crate::commands::file_kind::FileKind;
 use crate::commands::method_arguments::check_device;
 use crate::commands::plant_arguments::REAL_QUBE;
 use crate::estimation::EstimatorSettings;
@@ -117,7 +118,8 @@ pub fn begun(
     };
     recipes.extend(models.into_iter().map(|model| Recipe::of(model, &base)));
     for path in &arguments.recipe {
-        let recipe = Recipe::load(path, &base).map_err(Failure::usage)?;
+        let recipe =
+            Recipe::load(path, &base).map_err(|error| FileKind::Recipe.refused(path, error))?;
         recipe.settings.base_distribution().map_err(|error| {
             Failure::usage(format!("{}: {error} (in a recipe [settings.profile])", path.display()))
         })?;

@@ -7,6 +7,7 @@ use super::{Arguments, SessionMethod, SessionPreset};
 use crate::commands::chosen_device::ChosenDevice;
 use crate::commands::exit::Failure;
 use crate::commands::failures;
+use crate::commands::file_kind::FileKind;
 use crate::commands::printable::print_message;
 use crate::commands::rig_arguments::RigArguments;
 use crate::rig::ClockChoice;
@@ -39,7 +40,9 @@ pub fn origin_of_guard(arguments: &Arguments) -> String {
 pub fn asked(arguments: &Arguments, device: &ChosenDevice) -> Result<SessionSettings, Failure> {
     let preset = arguments.preset.settings(&device.plant, arguments.method);
     let mut settings = match &arguments.config {
-        Some(path) => preset.configured_by(path).map_err(Failure::usage)?,
+        Some(path) => {
+            preset.configured_by(path).map_err(|error| FileKind::Session.refused(path, error))?
+        }
         None => preset,
     };
     settings.identification = identification(arguments, &settings)?;
