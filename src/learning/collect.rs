@@ -45,7 +45,7 @@ impl Collector<'_> {
     /// Collects the transitions of all lanes, spread over at most `threads` threads. The result
     /// does not depend on the number of threads.
     pub fn collect(&self, threads: usize) -> Batch {
-        let lanes = usize::from(self.settings.num_envs);
+        let lanes = usize::from(self.settings.num_envs_at(self.update));
         let share = lanes.div_ceil(threads.max(1)).next_multiple_of(LANES_MULTIPLE);
         let parts: Vec<Batch> = std::thread::scope(|scope| {
             let workers: Vec<_> = (share..lanes)

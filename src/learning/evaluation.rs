@@ -38,7 +38,8 @@ pub fn evaluate_on_new_starts(
 /// An evaluation during training, with the score by which the best network is chosen.
 pub(super) struct Scored {
     pub evaluation: Evaluation,
-    /// Mean return, with the full weight on voltage changes if that weight is above 0.
+    /// Mean return, with the full weight on voltage changes if that weight is above 0; over the
+    /// worst starts alone while the networks learn from the worst trajectories.
     pub score: f64,
 }
 
@@ -50,7 +51,7 @@ impl TrainingState<'_> {
         let plant = &self.settings.simulation.plant;
         let mut smoothness =
             vec![SmoothnessFactor::limited_to(plant.limits.largest_voltage_v as f32); starts];
-        let mut smooth_return = 0.0;
+        let mut smooth_returns = vec![0.0; starts];
         let network = &self.policy.network;
         let evaluation = evaluate_with(
             &mut NetworkActor::on_starts(
@@ -65,11 +66,34 @@ impl TrainingState<'_> {
             EVALUATION_SEED,
             starts,
             |start, reward, voltage_v| {
-                smooth_return += f64::from(reward * smoothness[start].factor(voltage_v, weight));
+                smooth_returns[start] +=
+                    f64::from(reward * smoothness[start].factor(voltage_v, weight));
             },
         );
-        let score =
-            if weight > 0.0 { smooth_return / starts as f64 } else { evaluation.mean_return() };
-        Scored { evaluation, score }
+        let returns = if weight > 0.0 { smooth_returns } else { evaluation.returns.clone() };
+        let share = self.settings.worst_share_at(self.curve.len() as u32);
+        Scored { evaluation, score: mean_of_worst(returns, share) }
+    }
+}
+
+/// The mean of the lowest returns: of the share `share` of them, rounded up.
+fn mean_of_worst(mut returns: Vec<f64>, share: f32) -> f64 {
+    let kept = ((f64::from(share) * returns.len() as f64).ceil() as usize).clamp(1, returns.len());
+    if kept < returns.len() {
+        returns.sort_by(f64::total_cmp);
+    }
+    returns[..kept].iter().sum::<f64>() / kept as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_worst_returns_are_the_lowest_ones() {
+        let returns = vec![500.0, 100.0, 300.0, 400.0];
+        assert_eq!(mean_of_worst(returns.clone(), 1.0), 325.0);
+        assert_eq!(mean_of_worst(returns.clone(), 0.5), 200.0);
+        assert_eq!(mean_of_worst(returns, 0.01), 100.0);
     }
 }

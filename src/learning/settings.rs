@@ -7,6 +7,9 @@ use super::TrainError;
 use crate::qube::MAX_STEPS;
 use crate::simulation::{LANES_MULTIPLE, SimulationSettings};
 
+/// Largest number of pendulums of an update.
+const LARGEST_NUM_ENVS: u16 = 4096;
+
 /// The settings of a training. Their values are defined in the presets [`Self::thesis`],
 /// [`Self::quick`] and [`Self::robust`] alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -68,7 +71,9 @@ pub struct TrainSettings {
     pub target_return: Option<f64>,
     /// Share of an update's trajectories that the networks learn from, 0.01 to 1: the trajectories
     /// with the lowest returns (epsilon of EPOpt, Rajeswaran et al. 2017). It acts in the second
-    /// half of the updates; 1 takes all trajectories.
+    /// half of the updates, in which so many more pendulums are simulated that about as many
+    /// transitions remain, and in which the best network is the one with the highest mean of this
+    /// share of its evaluation's returns; 1 takes all trajectories.
     #[serde(skip_serializing_if = "is_one")]
     pub worst_share: f32,
     /// Sensors, observation, reward, safety box and plant of the simulation.
@@ -130,7 +135,7 @@ impl TrainSettings {
         }
         bounded("updates", self.updates, 1..=1_000_000, "1 to 1 000 000")?;
         let envs = self.num_envs;
-        bounded("num_envs", envs, LANES_MULTIPLE as u16..=4096, "16 to 4096")?;
+        bounded("num_envs", envs, LANES_MULTIPLE as u16..=LARGEST_NUM_ENVS, "16 to 4096")?;
         if !envs.is_multiple_of(LANES_MULTIPLE as u16) {
             let bound = "a multiple of 16";
             return Err(TrainError::Setting { name: "num_envs", value: envs.to_string(), bound });
@@ -203,6 +208,14 @@ impl TrainSettings {
     #[must_use]
     pub fn worst_share_at(&self, update: u32) -> f32 {
         if 2 * update < self.updates { 1.0 } else { self.worst_share }
+    }
+
+    /// The number of pendulums of an update, at most [`LARGEST_NUM_ENVS`]: `num_envs`, divided by
+    /// the share of their trajectories that the networks learn from.
+    #[must_use]
+    pub fn num_envs_at(&self, update: u32) -> u16 {
+        let simulated = (f32::from(self.num_envs) / self.worst_share_at(update)).ceil() as u16;
+        simulated.min(LARGEST_NUM_ENVS).next_multiple_of(LANES_MULTIPLE as u16)
     }
 
     /// The learning rate of an update.

@@ -46,6 +46,23 @@ fn the_same_seed_gives_the_same_policy_on_one_and_on_two_threads() {
 }
 
 #[test]
+fn the_worst_trajectories_come_from_more_pendulums_and_choose_the_network() {
+    let settings = TrainSettings { updates: 4, worst_share: 0.25, ..small() };
+    assert_eq!([1, 2].map(|update| settings.num_envs_at(update)), [48, 192]);
+    let trained = train_small(&settings, 5, None, u32::MAX).unwrap();
+    let simulated: Vec<u64> = trained.curve.iter().map(|update| update.steps).collect();
+    assert_eq!(simulated, [1, 2, 6, 10].map(|batches| batches * 48 * 600));
+    // As many transitions are learnt from, up to those of falls.
+    let learnt = |update: usize| {
+        trained.curve[update].gradient_steps - trained.curve[update - 1].gradient_steps
+    };
+    assert!(learnt(3) <= learnt(1) && 2 * learnt(3) > learnt(1), "{:?}", trained.curve);
+    // The network of the first half with the highest mean return is not kept for that mean.
+    let later = trained.curve[1..].iter().map(|update| update.mean_return);
+    assert!(later.into_iter().any(|it| it == trained.best_return), "{:?}", trained.curve);
+}
+
+#[test]
 fn a_history_is_seen_by_the_network_and_changes_the_policy() {
     let without = train_small(&small(), 5, None, u32::MAX).unwrap();
     let with = train_small(&small_with_history(), 5, None, u32::MAX).unwrap();

@@ -109,8 +109,12 @@ impl TrainingState<'_> {
         let of = |learner: &Learner| (learner.network.clone(), learner.moments.clone());
         let before = [of(&self.policy), of(&self.value)];
         let update = self.curve.len() as u32;
-        let batch = self.collector().collect(self.settings.threads);
         let share = self.settings.worst_share_at(update);
+        let has_narrowed = update > 0 && share < self.settings.worst_share_at(update - 1);
+        if has_narrowed {
+            self.take_as_best();
+        }
+        let batch = self.collector().collect(self.settings.threads);
         let worst = (share < 1.0).then(|| worst_of(&batch, share));
         let progress = optimise(
             &mut self.policy,
@@ -179,7 +183,8 @@ impl TrainingState<'_> {
         self.take_as_best();
     }
 
-    /// Takes the policy as the best network, with its evaluation in the present distribution.
+    /// Takes the policy as the best network, with its evaluation in the present distribution and by
+    /// the present score.
     fn take_as_best(&mut self) {
         let Scored { evaluation, score } = self.evaluate();
         (self.best_score, self.best_return) = (score, evaluation.mean_return());

@@ -51,7 +51,8 @@ impl Rival for BayesSim {
         let extent = Fit { components: self.components, passes: PASSES };
         let network = MixtureDensity::fit(&inputs, &targets, &weights, extent, given.seed);
         let posterior = network.given(&features(&real, shortest));
-        let points = posterior.draws(POINTS, &mut random);
-        Ok(RivalBelief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
+        let mut draw = || posterior.draw(&mut random);
+        let points = (0..POINTS).map(|_| given.space.drawn_within(&mut draw)).collect();
+        Ok(RivalBelief::Points(points))
     }
 }

@@ -66,7 +66,8 @@ impl RivalBelief {
         match self {
             Self::Unknown => space.draws(count, random),
             Self::Gaussian(gaussian) => {
-                gaussian.draws(count, random).iter().map(|point| space.clamped(point)).collect()
+                let mut draw = gaussian.drawing(random);
+                (0..count).map(|_| space.drawn_within(&mut draw)).collect()
             }
             Self::Points(points) => {
                 let evenly = |number: usize| &points[number * points.len() / count];

@@ -18,8 +18,6 @@ const TRANSITIONS: usize = 40;
 /// the sample covariance of the Qubes is not singular.
 const PAIRS: usize = 16;
 
-/// Range of the means, in standard deviations of the prior.
-const MEANS: [f64; 2] = [-2.5, 2.5];
 /// Range of the logarithms of the standard deviations, relative to the prior's.
 const LOG_DEVIATIONS: [f64; 2] = [-4.0, 0.0];
 
@@ -69,10 +67,11 @@ impl Rival for Dropo {
             let simulated: Vec<Vec<[f64; 4]>> = transitions.iter().map(ends).collect();
             -log_likelihood(&real, &simulated, &noise)
         };
-        let bounds = |end: usize| {
-            [vec![MEANS[end]; dimensions], vec![LOG_DEVIATIONS[end]; dimensions]].concat()
-        };
-        Ok(match minimise(&bounds(0), &bounds(1), self.evaluations, given.seed, cost) {
+        // The means move within all that can be simulated.
+        let (lower, upper) = given.space.ranges();
+        let [least, most] = LOG_DEVIATIONS.map(|end| vec![end; dimensions]);
+        let (lower, upper) = ([lower, least].concat(), [upper, most].concat());
+        Ok(match minimise(&lower, &upper, self.evaluations, given.seed, cost) {
             Ok(found) if !transitions.is_empty() => {
                 let (mean, deviation) = parts(&found);
                 let variances = deviation.component_mul(&deviation);

@@ -1,7 +1,6 @@
 use nalgebra::DVector;
-use rand_chacha::ChaCha8Rng;
 
-use super::gaussian::{Gaussian, standard_normal};
+use super::gaussian::Gaussian;
 
 /// Range of the logarithms of the standard deviations.
 const LOG_DEVIATIONS: [f64; 2] = [-3.0, 0.7];
@@ -13,7 +12,8 @@ pub struct TradeOff {
     pub weight: f64,
     /// Standard deviation of the widest distribution, which has mean 0.
     pub widest: f64,
-    /// Rate of the steps, in units of the standard deviations.
+    /// Rate of the steps, which follow the gradient divided by the weight: with any weight the
+    /// divergence alone reaches the widest distribution in about three steps divided by the rate.
     pub rate: f64,
 }
 
@@ -33,14 +33,6 @@ impl Independent {
             mean: DVector::zeros(dimensions),
             log_deviation: DVector::from_element(dimensions, factor.ln()),
         }
-    }
-
-    /// Draws points.
-    pub fn draws(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
-        let deviation = self.log_deviation.map(f64::exp);
-        let draw =
-            |_| &self.mean + deviation.component_mul(&standard_normal(self.mean.len(), random));
-        (0..count).map(draw).collect()
     }
 
     /// The distribution after one step up the gradient of the expected score minus the weighted
@@ -70,8 +62,8 @@ impl Independent {
         let widening = deviation.map(|it| 1.0 - it * it / squared);
         let [least, most] = LOG_DEVIATIONS;
         Self {
-            mean: &self.mean + rate * deviation.component_mul(&(of_mean - weight * mean_pull)),
-            log_deviation: (&self.log_deviation + rate * (of_log + weight * widening))
+            mean: &self.mean + rate * deviation.component_mul(&(of_mean / weight - mean_pull)),
+            log_deviation: (&self.log_deviation + rate * (of_log / weight + widening))
                 .map(|it: f64| it.clamp(least, most)),
         }
     }
@@ -89,6 +81,7 @@ impl Independent {
 #[cfg(test)]
 mod tests {
     use rand::SeedableRng as _;
+    use rand_chacha::ChaCha8Rng;
 
     use super::*;
 
@@ -101,10 +94,10 @@ mod tests {
         let (weight, width, widest) = (0.25, 0.8_f64, 3.0);
         let mut own = Independent::narrowed(2, 0.3);
         for step in 0..600 {
-            let points = own.draws(400, &mut random);
+            let points = own.gaussian().draws(400, &mut random);
             let score = |it: &DVector<f64>| -0.5 * ((it[0] - 1.0) / width).powi(2);
             let scores: Vec<f64> = points.iter().map(score).collect();
-            let rate = if step < 400 { 0.2 } else { 0.05 };
+            let rate = if step < 400 { 0.05 } else { 0.0125 };
             own = own.ascended(&points, &scores, TradeOff { weight, widest, rate });
         }
         // The divergence from the wide distribution shifts mean and variance a little: precision

@@ -46,11 +46,10 @@ impl Rival for EpOpt {
             transitions.iter().map(of).sum()
         };
         let particles = given.before.draws(given.space, PARTICLES, &mut random);
-        let clamped = |point: &nalgebra::DVector<f64>| given.space.clamped(point);
         Ok(RivalBelief::Points(posterior_particles(
             particles,
             log_likelihood,
-            clamped,
+            |draw| given.space.drawn_within(draw),
             &mut random,
         )))
     }

@@ -81,12 +81,9 @@ impl Rival for FingerprintOptimisation {
             for (direction, by) in directions.iter().zip(&psi[1..]) {
                 shift += *by * direction;
             }
-            let points: Vec<DVector<f64>> = given
-                .space
-                .draws(POINTS, &mut random)
-                .iter()
-                .map(|point| given.space.clamped(&(psi[0].exp() * point + &shift)))
-                .collect();
+            let mut draw = || psi[0].exp() * standard_normal(dimensions, &mut random) + &shift;
+            let points: Vec<DVector<f64>> =
+                (0..POINTS).map(|_| given.space.drawn_within(&mut draw)).collect();
             let Some(distribution) = distribution_of(given.space, &points) else { break };
             let trained = training.train_stage(distribution, given.stop)?;
             let network = &trained.network;

@@ -44,10 +44,14 @@ impl Gaussian {
 
     /// Draws points.
     pub fn draws(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
+        let mut draw = self.drawing(random);
+        (0..count).map(|_| draw()).collect()
+    }
+
+    /// A function that draws a point at each call.
+    pub fn drawing(&self, random: &mut ChaCha8Rng) -> impl FnMut() -> DVector<f64> {
         let factor = self.factor().l();
-        (0..count)
-            .map(|_| &self.mean + &factor * standard_normal(self.mean.len(), random))
-            .collect()
+        move || &self.mean + &factor * standard_normal(self.mean.len(), random)
     }
 
     /// The Kullback-Leibler divergence of this distribution from another one, D(self || other), in

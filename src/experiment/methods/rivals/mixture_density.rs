@@ -40,7 +40,7 @@ pub struct Fit {
     pub passes: usize,
 }
 
-/// A mixture of normal distributions.
+/// A mixture of one or more normal distributions.
 #[derive(Clone, Debug)]
 pub struct Mixture {
     components: Vec<Component>,
@@ -246,21 +246,19 @@ impl Mixture {
         log_sum(&self.components.iter().map(|it| it.log_density(point)).collect::<Vec<_>>())
     }
 
-    /// Draws points.
-    pub fn draws(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
-        (0..count).filter_map(|_| self.draw(random)).collect()
-    }
-
-    fn draw(&self, random: &mut ChaCha8Rng) -> Option<DVector<f64>> {
+    /// Draws a point.
+    pub fn draw(&self, random: &mut ChaCha8Rng) -> DVector<f64> {
         let mut left: f64 = random.random();
-        let last = self.components.last()?;
-        let chosen = self.components.iter().find(|it| {
+        let chosen = self.components.iter().position(|it| {
             left -= it.weight;
             left < 0.0
         });
-        let Component { mean, whitener, .. } = chosen.unwrap_or(last);
+        // The weights may sum to a little less than 1.
+        let number = chosen.unwrap_or(self.components.len() - 1);
+        let Component { mean, whitener, .. } = &self.components[number];
         let noise = standard_normal(mean.len(), random);
-        Some(mean + whitener.solve_upper_triangular(&noise)?)
+        // A whitener is singular only if an entry of its diagonal, a power of e, became 0.
+        whitener.solve_upper_triangular(&noise).map_or_else(|| mean.clone(), |it| mean + it)
     }
 
     /// Writes the gradient of `-share * log_density(target)` with respect to the network's outputs.
@@ -410,7 +408,8 @@ mod tests {
             .map(|it| vector(&[it.sum() + noise * standard_normal(1, &mut random)[0]]))
             .collect();
         let network = MixtureDensity::fit(&features, &targets, &vec![1.0; 4000], fit_of(40), 2);
-        let draws = network.given(&vector(&[1.0])).draws(4000, &mut random);
+        let given = network.given(&vector(&[1.0]));
+        let draws: Vec<_> = (0..4000).map(|_| given.draw(&mut random)).collect();
         let found = Gaussian::of_points(&draws, &vec![1.0; draws.len()]);
         // Gain 1 / (2 + noise^2) for each; covariance I minus the gain.
         let gain = 1.0 / (2.0 + noise * noise);
@@ -431,7 +430,8 @@ mod tests {
             .map(|it| vector(&[it[0] * it[0] + 0.1 * standard_normal(1, &mut random)[0]]))
             .collect();
         let network = MixtureDensity::fit(&features, &targets, &vec![1.0; 3000], fit_of(60), 3);
-        let draws = network.given(&vector(&[1.0])).draws(1000, &mut random);
+        let given = network.given(&vector(&[1.0]));
+        let draws: Vec<_> = (0..1000).map(|_| given.draw(&mut random)).collect();
         let share = |lower: f64, upper: f64| {
             draws.iter().filter(|it| (lower..upper).contains(&it[0])).count() as f64 / 1000.0
         };

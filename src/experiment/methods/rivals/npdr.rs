@@ -7,7 +7,7 @@ use super::mixture_density::{Fit, MixtureDensity};
 use super::rival::{Data, POINTS, Rival, RivalInput};
 use super::simulator::{SampledMotion, simulate};
 use super::space::Space;
-use super::summary::{parts_of, statistics};
+use super::summary::{features, parts_of, statistics};
 use crate::learning::TrainError;
 
 /// Number of simulated Qubes that the network learns from.
@@ -59,17 +59,23 @@ impl Rival for Npdr {
         for demonstration in demonstrations {
             let motion = SampledMotion::recorded(&demonstration.log);
             let parts = parts_of(motion.states.len());
-            real.extend(statistics(&motion, encoders, parts));
+            let features_of = |motion: &SampledMotion| {
+                let own = statistics(motion, encoders, parts);
+                features(std::slice::from_ref(&own), own.len())
+            };
+            real.extend(&features_of(&motion));
             let motions = simulate(demonstration, given.simulation, &models);
             for (own, motion) in inputs.iter_mut().zip(&motions) {
-                own.extend(statistics(motion, encoders, parts));
+                own.extend(&features_of(motion));
             }
         }
         let inputs: Vec<_> = inputs.into_iter().map(DVector::from_vec).collect();
         let extent = Fit { components: COMPONENTS, passes: PASSES };
         let network = MixtureDensity::fit(&inputs, &targets, &weights, extent, given.seed);
-        let points = network.given(&DVector::from_vec(real)).draws(POINTS, &mut random);
-        Ok(RivalBelief::Points(points.iter().map(|point| given.space.clamped(point)).collect()))
+        let posterior = network.given(&DVector::from_vec(real));
+        let mut draw = || posterior.draw(&mut random);
+        let points = (0..POINTS).map(|_| given.space.drawn_within(&mut draw)).collect();
+        Ok(RivalBelief::Points(points))
     }
 }
 

@@ -31,11 +31,8 @@ impl Rival for SimOpt {
             return Ok(given.before.clone());
         }
         for _ in 0..STEPS {
-            let points: Vec<_> = gaussian
-                .draws(SAMPLES, &mut random)
-                .iter()
-                .map(|point| given.space.clamped(point))
-                .collect();
+            let points =
+                RivalBelief::Gaussian(gaussian.clone()).draws(given.space, SAMPLES, &mut random);
             let models: Vec<_> = points.iter().map(|point| given.space.model(point)).collect();
             let mut costs = vec![0.0; points.len()];
             for demonstration in demonstrations {

@@ -13,6 +13,10 @@ const DAMPING_LOG_DEVIATION: f64 = 1.0;
 /// the prior.
 const FARTHEST: f64 = 4.0;
 
+/// Largest number of draws for a point within the ranges. A distribution whose mean lies at several
+/// ends of the ranges has about half of its draws beyond each.
+const MOST_DRAWS: usize = 200;
+
 /// The coordinates in which rivals learn about a Qube: one for each quantity that varies in the
 /// distribution `robust`, and one for each damping, which `robust` does not vary. The prior of each
 /// coordinate is the standard normal distribution, cut off at the values that can be simulated. Its
@@ -77,6 +81,20 @@ impl Space {
         )
     }
 
+    /// A point that `draw` draws and whose Qube can be simulated. A draw beyond the ranges is drawn
+    /// again: clamping would break the correlations of its entries, and gather the entries at the
+    /// ends. If all of [`MOST_DRAWS`] draws lie beyond the ranges, the last one is clamped.
+    pub fn drawn_within(&self, draw: &mut dyn FnMut() -> DVector<f64>) -> DVector<f64> {
+        let mut point = draw();
+        for _ in 1..MOST_DRAWS {
+            if self.contains(&point) {
+                break;
+            }
+            point = draw();
+        }
+        self.clamped(&point)
+    }
+
     /// The Qube at a point, or at the nearest point that can be simulated.
     pub fn model(&self, point: &DVector<f64>) -> QubeModel {
         let mut model = self.nominal;
@@ -115,6 +133,11 @@ impl Space {
             below(upper) - below(lower)
         };
         self.coordinates.iter().map(|coordinate| within(coordinate.range())).product()
+    }
+
+    /// Smallest and largest entry of each coordinate that can be simulated.
+    pub fn ranges(&self) -> (Vec<f64>, Vec<f64>) {
+        self.coordinates.iter().map(Coordinate::range).unzip()
     }
 
     /// Draws points from the prior, within the ranges that can be simulated.

@@ -21,7 +21,7 @@ const STAGES: usize = 40;
 pub fn posterior_particles(
     mut particles: Vec<DVector<f64>>,
     log_likelihood: impl Fn(&DVector<f64>) -> f64,
-    clamped: impl Fn(&DVector<f64>) -> DVector<f64>,
+    within: impl Fn(&mut dyn FnMut() -> DVector<f64>) -> DVector<f64>,
     random: &mut ChaCha8Rng,
 ) -> Vec<DVector<f64>> {
     let mut taken = 0.0;
@@ -33,15 +33,14 @@ pub fn posterior_particles(
         taken += part;
         let chosen = resampled(&weights, random);
         let moments = Gaussian::of_points(&particles, &weights);
-        let noises = Gaussian { mean: DVector::zeros(moments.mean.len()), ..moments.clone() }
-            .draws(chosen.len(), random);
+        let around_zero = Gaussian { mean: DVector::zeros(moments.mean.len()), ..moments.clone() };
+        let mut noise = around_zero.drawing(random);
         let spread = (1.0 - SHRINKAGE * SHRINKAGE).sqrt();
         particles = chosen
             .into_iter()
-            .zip(noises)
-            .map(|(index, noise)| {
+            .map(|index| {
                 let kept = &moments.mean + SHRINKAGE * (&particles[index] - &moments.mean);
-                clamped(&(kept + spread * noise))
+                within(&mut || &kept + spread * noise())
             })
             .collect();
         if taken >= 1.0 {
@@ -126,7 +125,7 @@ mod tests {
         let precision = 50.0 / 0.49;
         let log = |point: &DVector<f64>| -0.5 * precision * (point[0] - 1.2).powi(2);
         let prior = Gaussian::standard(3).draws(PARTICLES, &mut random);
-        let posterior = posterior_particles(prior, log, DVector::clone, &mut random);
+        let posterior = posterior_particles(prior, log, |draw| draw(), &mut random);
         let found = Gaussian::of_points(&posterior, &[1.0; PARTICLES]);
         let (mean, variance) = (1.2 * precision / (1.0 + precision), 1.0 / (1.0 + precision));
         assert!((found.mean[0] - mean).abs() < 0.01, "{}", found.mean);
@@ -143,7 +142,7 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(4);
         let log = |point: &DVector<f64>| if point[0] > 0.0 { 0.0 } else { f64::NAN };
         let prior = Gaussian::standard(1).draws(400, &mut random);
-        let posterior = posterior_particles(prior, log, DVector::clone, &mut random);
+        let posterior = posterior_particles(prior, log, |draw| draw(), &mut random);
         let above = posterior.iter().filter(|point| point[0] > 0.0).count();
         assert!(above > 350, "{above}");
     }
