@@ -203,10 +203,13 @@ pub enum Unfit {
 }
 
 impl Unfit {
-    /// Returns whether the recording shows no defect, but is too short or has too little voltage or
-    /// motion.
-    pub(super) fn is_uninformative(self) -> bool {
-        matches!(self, Self::Short { .. } | Self::NoVoltage | Self::NoMotion { .. })
+    /// Returns whether the recording shows no defect, but is too short, has too little voltage or
+    /// motion, or comes near a stop.
+    pub(super) fn is_unusable(self) -> bool {
+        matches!(
+            self,
+            Self::Short { .. } | Self::NoVoltage | Self::NoMotion { .. } | Self::AtStop { .. }
+        )
     }
 }
 

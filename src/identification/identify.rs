@@ -1,9 +1,8 @@
-use std::fmt;
-
 use thiserror::Error;
 
 use super::Unknown;
 use super::assessment::{Assessment, assess, noise_ratio_of};
+use super::cause::Cause;
 use super::fit::Fit;
 use super::fitness::{Unfit, check_recording};
 use super::offsets::{Offset, Scatter};
@@ -37,10 +36,6 @@ const LARGEST_RESIDUAL_SHARE: f64 = 0.8;
 /// without a motor.
 const LARGEST_MOTORLESS_SHARE: f64 = 0.5;
 
-/// Share of the fit's residual below which the residual of a fit with a reversed sign must lie for
-/// the sign to be named.
-const SIGN_FACTOR: f64 = 0.5;
-
 /// Largest distance of a quantity from its prior mean, in standard deviations. The largest distance
 /// of a real Qube is 2.5.
 const FARTHEST_STDS: f64 = 5.0;
@@ -49,6 +44,15 @@ const FARTHEST_STDS: f64 = 5.0;
 /// pendulum may be 14 % shorter than the name plate says, which is five standard deviations of a
 /// ruler's error.
 const PLAUSIBLE_LOG: f64 = 0.5;
+
+/// Factor on the residual over the windows of the first stage beyond which a later stage has ended
+/// in a wrong model: from one start state, a pendulum that swings widely but never comes upright is
+/// as hard to predict as an upright one.
+const WORSENED_FACTOR: f64 = 3.0;
+
+/// Residual over the windows of the first stage up to which no stage has ended in a wrong model,
+/// rad. The real Qube's chirps leave 0.01 rad.
+const NOT_WORSENED_RAD: f64 = 0.03;
 
 /// The result of an identification.
 #[derive(Clone, Debug, PartialEq)]
@@ -172,26 +176,6 @@ impl IdentifyError {
     }
 }
 
-/// The sign that may be the reason why no Qube explains the recordings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Cause {
-    /// The sign with whose reversal a Qube explains them much better.
-    Reversed(Sign),
-    /// No reversed sign explains them.
-    Unknown,
-}
-
-/// A sign of the rig's calibration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sign {
-    /// The sign of the voltage.
-    Voltage,
-    /// The sign of the arm's encoder.
-    Arm,
-    /// The sign of the pendulum's encoder.
-    Pendulum,
-}
-
 impl Identified {
     /// The result of a finished fit; `short_noise` is the noise of its residuals over short
     /// windows.
@@ -260,24 +244,6 @@ impl Identified {
     }
 }
 
-impl fmt::Display for Cause {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let sign = match self {
-            Self::Unknown => {
-                return f.write_str(
-                    "No reversed sign explains them either: are all recordings of one Qube, is the \
-                     pendulum a different one, is a value that was kept fixed wrong, or does \
-                     something in the drive slip or stick?",
-                );
-            }
-            Self::Reversed(Sign::Voltage) => "the voltage",
-            Self::Reversed(Sign::Arm) => "the arm's angle",
-            Self::Reversed(Sign::Pendulum) => "the pendulum's angle",
-        };
-        write!(f, "With the sign of {sign} reversed, a Qube explains them: check that sign")
-    }
-}
-
 /// Identifies the Qube, or the specimen of another plant, that made recordings: finds the maximum
 /// of the posterior. The estimates of `unknowns` start from `first_guess`, whose other quantities
 /// stay as they are. The priors of [`Unknown::prior`] are weak and decide only where the data leave
@@ -341,14 +307,27 @@ fn fitted<'a>(
     let mut fit = first_stage(logs, unknowns, plant, first_guess);
     let scale = scale_of(&fit.residuals_rad());
     let ResidualScale { theta_rad, alpha_rad } = scale;
-    let cause = || cause(logs, unknowns, first_guess, theta_rad.max(alpha_rad));
+    let cause = || {
+        let residual_rad = theta_rad.max(alpha_rad);
+        Cause::of(logs, residual_rad, LARGEST_RESIDUAL_RAD, |logs| {
+            first_residual_rad(logs, unknowns, plant, first_guess)
+        })
+    };
     if !scale.is_within(LARGEST_RESIDUAL_RAD) {
         return Err(IdentifyError::Unexplained { theta_rad, alpha_rad, cause: cause() });
     }
     if fit.stretches.iter().any(|stretch| stretch.regime == Regime::Hanging) {
+        let largest_rad = (WORSENED_FACTOR * theta_rad.max(alpha_rad)).max(NOT_WORSENED_RAD);
         for duration_s in further_s {
-            fit = fit.over(windows(logs, duration_s));
-            fit.run();
+            let mut longer = fit.over(windows(logs, duration_s));
+            longer.run();
+            // The longest windows that keep the neighbourhood of the first stage are used.
+            if !short_scale(&longer, logs).is_within(largest_rad)
+                || implausible(unknowns, plant, &longer.model).is_some()
+            {
+                break;
+            }
+            fit = longer;
         }
     }
     fit.finish();
@@ -379,6 +358,14 @@ fn first_stage<'a>(
     let mut fit = Fit::new(unknowns, plant, model, windows(logs, STAGES_S[0])).with_offsets();
     fit.run();
     fit
+}
+
+/// The residuals of a fit's model over the windows of the first stage, with start states fitted
+/// anew.
+fn short_scale(fit: &Fit<'_>, logs: &[MotionLog]) -> ResidualScale {
+    let mut check = fit.with_unknowns(&[], windows(logs, STAGES_S[0]));
+    check.minimise();
+    scale_of(&check.residuals_rad())
 }
 
 fn windows(logs: &[MotionLog], duration_s: f64) -> Vec<Stretch<'_>> {
@@ -415,43 +402,18 @@ fn unexplained(logs: &[MotionLog], fit: &Fit<'_>) -> Option<ResidualScale> {
     (scale.theta_rad > LARGEST_MOTORLESS_SHARE * without.theta_rad).then_some(scale)
 }
 
-/// Finds the sign whose reversal explains the recordings, by a fit over short stretches with each
-/// sign reversed.
-fn cause(
+/// The residual of the best plausible fit over the windows of the first stage, rad; infinite if the
+/// best fit is implausible.
+fn first_residual_rad(
     logs: &[MotionLog],
     unknowns: &[Unknown],
+    plant: &PlantModel,
     first_guess: &QubeModel,
-    residual_rad: f64,
-) -> Cause {
-    let residual = |sign: Sign| {
-        let reversed: Vec<MotionLog> = logs.iter().map(|log| reversed(log, sign)).collect();
-        let plant = &logs[0].plant;
-        let fit = first_stage(&reversed, unknowns, plant, first_guess);
-        let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
-        let plausible = implausible(unknowns, plant, &fit.model).is_none();
-        if plausible { theta_rad.max(alpha_rad) } else { f64::INFINITY }
-    };
-    let best = [Sign::Voltage, Sign::Arm, Sign::Pendulum]
-        .map(|sign| (sign, residual(sign)))
-        .into_iter()
-        .min_by(|a, b| a.1.total_cmp(&b.1));
-    match best {
-        Some((sign, residual)) if residual < SIGN_FACTOR * residual_rad => Cause::Reversed(sign),
-        _ => Cause::Unknown,
-    }
-}
-
-fn reversed(log: &MotionLog, sign: Sign) -> MotionLog {
-    let mut log = log.clone();
-    for sample in &mut log.samples {
-        let state = &mut sample.state;
-        match sign {
-            Sign::Voltage => sample.voltage_v = -sample.voltage_v,
-            Sign::Arm => (state.theta, state.theta_dot) = (-state.theta, -state.theta_dot),
-            Sign::Pendulum => (state.alpha, state.alpha_dot) = (-state.alpha, -state.alpha_dot),
-        }
-    }
-    log
+) -> f64 {
+    let fit = first_stage(logs, unknowns, plant, first_guess);
+    let ResidualScale { theta_rad, alpha_rad } = scale_of(&fit.residuals_rad());
+    let plausible = implausible(unknowns, plant, &fit.model).is_none();
+    if plausible { theta_rad.max(alpha_rad) } else { f64::INFINITY }
 }
 
 /// Root mean square of an angle about its mean in each recording, rad.

@@ -47,6 +47,7 @@
 //! ```
 
 mod assessment;
+mod cause;
 mod change;
 #[cfg(test)]
 mod delay_tests;
@@ -70,11 +71,14 @@ mod stretch;
 mod tests;
 mod uncertainty;
 mod unknowns;
+#[cfg(test)]
+mod wide_swing_tests;
 
 pub use assessment::{Assessment, MissingEffect, ModelVerdict};
+pub use cause::{Cause, Sign};
 pub use drift::{Compared, DRIFT_ROLLOUTS, Drift};
 pub use fitness::{Unfit, check_recording};
-pub use identify::{Cause, Identified, IdentifyError, Sign, identify};
+pub use identify::{Identified, IdentifyError, identify};
 pub use next_excitation::{ExpectedExcitation, excitation_after, next_excitations};
 pub use offsets::{Offset, Scatter};
 pub use prediction::{

@@ -16,7 +16,7 @@ pub struct Recordings<const N: usize> {
     pub groups: [Vec<MotionLog>; N],
     /// Paths of the recordings of each group, in the same order.
     pub files: [Vec<PathBuf>; N],
-    /// Uninformative recordings; they are left out, because others of their group are used.
+    /// Unusable recordings; they are left out, because others of their group are used.
     pub left_out: Vec<LeftOut>,
     /// Plant of all recordings. If there is no recording, it is the plant that the caller gave, or
     /// else the built-in Qube.
@@ -27,14 +27,14 @@ pub struct Recordings<const N: usize> {
     pub incomplete: Vec<IncompleteRecording>,
 }
 
-/// Recordings of one plant without the uninformative recordings.
+/// Recordings of one plant without the unusable recordings.
 #[derive(Debug, Default)]
 struct FittableRecordings {
     /// Motions of the recordings that are used.
     logs: Vec<MotionLog>,
     /// Paths of the recordings that are used, in the same order.
     files: Vec<PathBuf>,
-    /// Uninformative recordings; they are left out, because others are used.
+    /// Unusable recordings; they are left out, because others are used.
     left_out: Vec<LeftOut>,
     /// Serial numbers of the boards that made the recordings that are used.
     boards: BTreeSet<String>,
@@ -53,7 +53,7 @@ pub struct IncompleteRecording {
     pub used_s: f64,
 }
 
-/// An uninformative recording, which determines too little for a fit: the policy never drove the
+/// An unusable recording, which determines too little for a fit: the policy never drove the
 /// motor or only briefly, the voltage was never large, or hardly anything moves.
 #[derive(Debug)]
 pub struct LeftOut {
@@ -118,12 +118,12 @@ pub enum RecordingsError {
 }
 
 impl RecordingsError {
-    /// Returns whether the recording shows no defect, but is uninformative
-    /// ([`Unfit::is_uninformative`]). Others can be fitted without it.
-    fn is_uninformative(&self) -> bool {
+    /// Returns whether the recording shows no defect, but cannot be used
+    /// ([`Unfit::is_unusable`]). Others can be fitted without it.
+    fn is_unusable(&self) -> bool {
         match self {
             Self::Motion(MotionLogError::NeverRan { .. }) => true,
-            Self::Unfit { why, .. } => why.is_uninformative(),
+            Self::Unfit { why, .. } => why.is_unusable(),
             _ => false,
         }
     }
@@ -136,15 +136,15 @@ impl fmt::Display for IncompleteRecording {
     }
 }
 
-/// Reads groups of recordings and refuses recordings that cannot be fitted. Uninformative
-/// recordings are left out, unless a whole group is uninformative. All others must be of the same
+/// Reads groups of recordings and refuses recordings that cannot be fitted. Unusable
+/// recordings are left out, unless a whole group is unusable. All others must be of the same
 /// plant: of `plant`, or else of the plant of the first of them. A CSV file names no plant and is
 /// taken to be of `plant`, else of the plant of the recordings before it, else of the built-in
 /// Qube.
 ///
 /// # Errors
 /// A file cannot be read or fitted, is of another plant than the others, is named twice, or holds
-/// the motion of another file or a part of it; or a whole group is uninformative.
+/// the motion of another file or a part of it; or a whole group is unusable.
 pub fn read_recordings<const N: usize>(
     groups: [&[PathBuf]; N],
     mut plant: Option<PlantModel>,
@@ -181,13 +181,13 @@ pub fn read_recordings<const N: usize>(
     Ok(Recordings { groups: read, files: used, left_out, plant, boards, incomplete })
 }
 
-/// Reads recordings for a fit, which uses all but the uninformative recordings. The recordings that
+/// Reads recordings for a fit, which uses all but the unusable recordings. The recordings that
 /// it uses must be of the same plant: of `plant`, or else of the plant of the first of them, which
 /// `plant` then becomes.
 ///
 /// # Errors
 /// A file cannot be read, is of another plant, has a defect because of which it cannot be fitted,
-/// or all recordings are uninformative.
+/// or all recordings are unusable.
 fn read_fittable(
     paths: &[PathBuf],
     plant: &mut Option<PlantModel>,
@@ -200,7 +200,7 @@ fn read_fittable(
                 fittable.files.push(path.clone());
                 fittable.boards.extend(board);
             }
-            Err(why) if why.is_uninformative() => {
+            Err(why) if why.is_unusable() => {
                 fittable.left_out.push(LeftOut { path: path.clone(), why });
             }
             Err(why) => return Err(why),

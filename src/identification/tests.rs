@@ -443,26 +443,43 @@ fn a_held_out_chirp_is_measured_by_the_noise_of_windows_as_short_as_its_own() {
 #[test]
 fn a_reversed_sign_is_named() {
     let good = chirp(&truth(), 1.0, 4.0);
-    for sign in [Sign::Voltage, Sign::Arm, Sign::Pendulum] {
-        let mut log = good.clone();
-        for sample in &mut log.samples {
-            match sign {
-                Sign::Voltage => sample.voltage_v = -sample.voltage_v,
-                Sign::Arm => sample.state.theta = -sample.state.theta,
-                Sign::Pendulum => sample.state.alpha = -sample.state.alpha,
-            }
-            (sample.state.theta_dot, sample.state.alpha_dot) = (0.0, 0.0);
-        }
-        let refused = identify(&[log], &all(), &QubeModel::NOMINAL).unwrap_err();
-        let message = refused.to_string();
-        let (IdentifyError::Unexplained { cause, .. }
-        | IdentifyError::NothingExplained { cause, .. }
-        | IdentifyError::Implausible { cause, .. }) = refused
-        else {
-            panic!("{sign:?}: {refused:?}");
-        };
-        assert_eq!(cause, Cause::Reversed(sign), "{message}");
+    for sign in Sign::ALL {
+        let refused = identify(&[turned(&good, sign)], &all(), &QubeModel::NOMINAL).unwrap_err();
+        assert_eq!(refused.cause(), Some(Cause::Reversed(sign)), "{refused}");
     }
+}
+
+/// A recording without velocities, and with one sign reversed.
+fn turned(log: &MotionLog, sign: Sign) -> MotionLog {
+    let mut log = log.clone();
+    for sample in &mut log.samples {
+        match sign {
+            Sign::Voltage => sample.voltage_v = -sample.voltage_v,
+            Sign::Arm => sample.state.theta = -sample.state.theta,
+            Sign::Pendulum => sample.state.alpha = -sample.state.alpha,
+        }
+        (sample.state.theta_dot, sample.state.alpha_dot) = (0.0, 0.0);
+    }
+    log
+}
+
+#[test]
+fn no_sign_is_named_for_all_recordings_if_one_recording_alone_has_another() {
+    let others = [chirp(&truth(), -1.0, 4.0), chirp(&truth(), 1.5, 4.0)];
+    let mut named = 0;
+    for sign in Sign::ALL {
+        let odd = turned(&chirp(&truth(), 1.0, 4.0), sign);
+        let logs = [others[0].clone(), odd, others[1].clone()];
+        match identify(&logs, &all(), &QubeModel::NOMINAL) {
+            Ok(found) => assert_ne!(found.assessment.verdict, ModelVerdict::Fits, "{sign}"),
+            Err(refused) => {
+                let cause = refused.cause().unwrap();
+                assert!(!matches!(cause, Cause::Reversed(_)), "{sign}: {refused}");
+                named += u32::from(cause == Cause::ReversedIn { index: 1, sign });
+            }
+        }
+    }
+    assert!(named > 0, "the recording with another sign was never named");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use crate::identification::{
     Estimate, ExpectedExcitation, Identified, ModelVerdict, PredictionBand,
     UndeterminedCombination, Unknown,
 };
-use crate::qube::PlantModel;
+use crate::qube::{Nonideality, PlantModel};
 
 /// Returns the whole result for people: estimates with their correlations, the cable's rest angles,
 /// predictions, verdict, and the next excitation.
@@ -25,6 +25,8 @@ pub fn text(
     }
     text += &band_lines(predictions);
     let _ = write!(text, "\n{}", assessment(identified));
+    text += &unlikely_values(identified, plant);
+    text += &late_voltage(identified);
     text += &next_line(next, plant);
     text
 }
@@ -158,6 +160,46 @@ fn assessment(identified: &Identified) -> String {
         String::new()
     };
     format!("{verdict}{widened}\n")
+}
+
+/// Distance of a parameter from its prior mean, in standard deviations, from which it is noted. The
+/// largest one of the public recordings of a real Qube is 2.5.
+const UNLIKELY_STDS: f64 = 3.0;
+
+/// Returns a note on the parameters that lie far from the plant's description; empty without any.
+/// Recordings may determine such a value only together with others, so that the standard error of
+/// each takes the description for right.
+fn unlikely_values(identified: &Identified, plant: &PlantModel) -> String {
+    let is_unlikely = |estimate: &&Estimate| {
+        let (unknown, prior) = (estimate.unknown, estimate.unknown.prior(plant));
+        let distance = (unknown.of(&identified.model) - prior.mean).abs();
+        unknown.is_parameter() && distance > UNLIKELY_STDS * prior.std
+    };
+    let names: Vec<&str> =
+        identified.estimates.iter().filter(is_unlikely).map(|it| it.unknown.name()).collect();
+    if names.is_empty() {
+        return String::new();
+    }
+    format!(
+        "Far from the plant's description: {}. Is the pendulum another one, or is the time of the recordings wrong? The \
+         standard errors take the description for right: weigh and measure what you can, and fix it by --fix.\n",
+        names.join(", ")
+    )
+}
+
+/// Delay below which it counts as none, s.
+const NO_DELAY_S: f64 = 1e-4;
+
+/// Returns a note if a doubted fit has no delay although one was fitted; empty otherwise.
+fn late_voltage(identified: &Identified) -> String {
+    let delay = Unknown::from(Nonideality::CommandDelay);
+    let has_none =
+        identified.estimates.iter().any(|it| it.unknown == delay && it.value < NO_DELAY_S);
+    if identified.assessment.verdict == ModelVerdict::Fits || !has_none {
+        return String::new();
+    }
+    "The best delay is none at all: were the voltages recorded a sample after they acted?\n"
+        .to_owned()
 }
 
 /// Returns the excitations of a plant with the most and with the least expected information; empty
