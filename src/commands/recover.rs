@@ -59,7 +59,14 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
             );
             loss.map_or(Ok(()), |loss| Err(failures::incomplete(&arguments.file, &loss)))
         }
-        Recovered::Saved { ticks, missing_ticks, lost_bytes, has_outcome, has_policy } => {
+        Recovered::Saved {
+            ticks,
+            missing_ticks,
+            missing_steps_at_end,
+            lost_bytes,
+            has_outcome,
+            has_policy,
+        } => {
             output.print(
                 &format!("{}: {ticks} ticks saved", one_line(&out.display().to_string())),
                 &json!({
@@ -68,14 +75,20 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                     "recovered": out.to_string_lossy(),
                     "ticks": ticks,
                     "missing_ticks": missing_ticks,
+                    "missing_steps_at_end": missing_steps_at_end,
                     "lost_bytes": lost_bytes,
                     "has_outcome": has_outcome,
                     "has_policy": has_policy,
                 }),
             );
-            if lost_bytes == 0 && missing_ticks == 0 && has_outcome && has_policy {
+            let misses_ticks = missing_ticks > 0 || missing_steps_at_end > 0;
+            if lost_bytes == 0 && !misses_ticks && has_outcome && has_policy {
                 return Ok(());
             }
+            let at_end = match missing_steps_at_end {
+                0 => String::new(),
+                steps => format!(" and {steps} steps of the policy after it"),
+            };
             let outcome = if has_outcome { "is" } else { "is not" };
             let policy = if has_policy {
                 ""
@@ -83,7 +96,7 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
                 "; its policy is lost, so that `replay` cannot run it again, and other commands can use the ticks"
             };
             Err(Failure::data_lost(format!(
-                "{path}: {lost_bytes} bytes could not be saved; {missing_ticks} ticks are missing before the last one; \
+                "{path}: {lost_bytes} bytes could not be saved; {missing_ticks} ticks are missing before the last one{at_end}; \
                  how the rollout ended {outcome} known{policy}"
             )))
         }

@@ -373,6 +373,7 @@ fn findings(recording: &Recording, rerun: &Rerun) -> Option<String> {
         (Completeness::Recovered, None) => {
             Some("recovered; how the rollout ended is not known".to_owned())
         }
+        (Completeness::Whole, None) => Some("how the rollout ended is not known".to_owned()),
         (Completeness::Recovered, Some(_)) if rerun.ending.is_none() => {
             Some("recovered; its last ticks are missing".to_owned())
         }

@@ -62,8 +62,8 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let folder = folder_asked(arguments)?;
     let (path, file) = place(arguments, folder)?;
-    let (page, lost) = match folder {
-        Some(folder) if ExperimentFolder::is_in(folder) => (of_experiment(folder)?, None),
+    let (page, problems) = match folder {
+        Some(folder) if ExperimentFolder::is_in(folder) => (of_experiment(folder)?, Vec::new()),
         Some(folder) => of_session(folder)?,
         None => of_recordings(&arguments.paths, arguments.profile.as_deref())?,
     };
@@ -71,8 +71,19 @@ pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let shown = path.display().to_string();
     let kilobytes = page.len().div_ceil(1000);
     let text = format!("report in {shown} ({kilobytes} kB); open it in a browser");
-    output.print(&text, &json!({ "report": shown, "bytes": page.len() }));
-    lost.map_or(Ok(()), Err)
+    let written = json!({ "report": shown, "bytes": page.len(), "problems": problems });
+    output.print(&text, &written);
+    first_of(&problems).map_or(Ok(()), Err)
+}
+
+/// Returns the failure of a page that was written although these sentences report lost or changed
+/// data; `None` without any.
+fn first_of(problems: &[String]) -> Option<Failure> {
+    let (first, more) = problems.split_first()?;
+    Some(Failure::data_lost(match more.len() {
+        0 => first.clone(),
+        more => format!("{first} (and {more} more, which the page names)"),
+    }))
 }
 
 /// Returns the folder of the session or experiment that the page is about; `None` for recordings.
@@ -203,33 +214,34 @@ fn of_experiment(folder: &Path) -> Result<String, Failure> {
     page_of_experiment(&results, &experiment).map_err(Failure::failed)
 }
 
-/// Returns the page of a session, and the failure to report if some of its data cannot be read.
-fn of_session(folder: &Path) -> Result<(String, Option<Failure>), Failure> {
+/// Returns the page of a session, with a sentence for each part of its data that cannot be read or
+/// was changed.
+fn of_session(folder: &Path) -> Result<(String, Vec<String>), Failure> {
     let source = SessionSource::read(&MachineDisk, folder).map_err(failure)?;
     let name = folder.canonicalize().ok();
     let name = name.as_deref().unwrap_or(folder).file_name().unwrap_or(folder.as_os_str());
     let commands = session_commands(&source, folder);
     let page = session_page(&source, &name.to_string_lossy(), &commands).map_err(failure)?;
     let lost_policy = source.policy_lost().map(|reason| {
-        Failure::data_lost(one_line(&format!(
+        format!(
             "the best policy is lost: {reason}. Each recording of its rollouts has it attached, as policy.safetensors"
-        )))
+        )
     });
-    let lost = source.problems().first().map(|problem| {
-        let more = match source.problems().len() - 1 {
-            0 => String::new(),
-            more => format!(" (and {more} more, which the page names)"),
-        };
-        Failure::data_lost(one_line(&format!("{problem}{more}")))
+    let changed = source.settings_changed().then(|| {
+        format!(
+            "{} was changed after the session began: restore it, because parts of the page may not describe the session",
+            SessionPaths::new(folder).configuration().display()
+        )
     });
-    Ok((page, lost.or(lost_policy)))
+    let problems = source.problems().iter().cloned().chain(lost_policy).chain(changed);
+    Ok((page, problems.map(|it| one_line(&it).into_owned()).collect()))
 }
 
-/// Returns the page of some recordings, and the failure to report if one of them lacks a part.
+/// Returns the page of some recordings, with a sentence for each one that lacks a part.
 fn of_recordings(
     files: &[PathBuf],
     profile: Option<&Path>,
-) -> Result<(String, Option<Failure>), Failure> {
+) -> Result<(String, Vec<String>), Failure> {
     let known = match profile {
         Some(name) => profile::named_of_any_plant(name)?.map(|known| (name, known)),
         None => None,
@@ -251,9 +263,11 @@ fn of_recordings(
     let specimen =
         known.map(|(name, known)| SimulatedSpecimen::of_profile(&known, &name.to_string_lossy()));
     let page = recordings_page(&recordings, specimen.as_ref(), &commands).map_err(failure)?;
-    let mut read = files.iter().zip(&recordings);
-    let lost = read.find_map(|(file, (_, it))| Some(failures::incomplete(file, &it.loss()?)));
-    Ok((page, lost))
+    let read = files.iter().zip(&recordings);
+    let lacking = read.filter_map(|(file, (_, it))| {
+        Some(failures::incomplete(file, &it.loss()?).cause().to_owned())
+    });
+    Ok((page, lacking.collect()))
 }
 
 /// Returns the commands that use and repeat a session, each with its purpose. Those that need a

@@ -66,6 +66,8 @@ pub(super) struct RolloutFolder {
     /// Policy that made all recordings; `None` for a folder that has recordings of several policies
     /// and excitations.
     pub policy: Option<PolicyOfFolder>,
+    /// Seed that its recordings name; `None` if it is not checked.
+    pub seed: Option<u64>,
 }
 
 /// A policy of an experiment, as the headers of its recordings name it.
@@ -89,11 +91,14 @@ impl RolloutFolder {
         number: RolloutAttempt,
     ) -> Result<(), ExperimentError> {
         check_origin(recorded, path, self.policy.as_ref().map(|policy| policy.number), number)?;
-        let name = &recorded.header.policy;
-        if self.policy.as_ref().is_none_or(|policy| policy.name == *name) {
+        let (name, seed) = (&recorded.header.policy, recorded.header.seed);
+        let found = if self.policy.as_ref().is_some_and(|policy| policy.name != *name) {
+            format!("a rollout of the policy {name}")
+        } else if self.seed.is_some_and(|own| own != seed) {
+            format!("another repetition or experiment, with seed {seed}")
+        } else {
             return Ok(());
-        }
-        let found = format!("a rollout of the policy {name}");
+        };
         Err(SessionError::RecordingMisplaced { path: path.to_owned(), found }.into())
     }
 }
@@ -249,7 +254,7 @@ mod tests {
     #[test]
     fn a_recording_that_the_disk_fails_to_read_is_not_made_again() {
         let directory = tempfile::tempdir().unwrap();
-        let folder = RolloutFolder { path: directory.path().to_owned(), policy: None };
+        let folder = RolloutFolder { path: directory.path().to_owned(), policy: None, seed: None };
         assert!(!is_complete(&folder, 0, 0).unwrap());
         let path = recording_in(directory.path(), RolloutAttempt::FIRST);
         std::os::unix::fs::symlink(&path, &path).unwrap();

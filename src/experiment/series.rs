@@ -287,7 +287,8 @@ impl PolicySeries<'_> {
 
     /// The folder of a policy's rollouts on a plant.
     pub fn rollouts(&self, policy: u32, plant: &Plant) -> RolloutFolder {
-        rollouts_of(self.recipe, &self.folders, policy, plant)
+        let folder = rollouts_of(self.recipe, &self.folders, policy, plant);
+        RolloutFolder { seed: Some(self.seed), ..folder }
     }
 
     fn plan(&self, policy: u32, rollout: u32) -> RolloutPlan {
@@ -322,6 +323,7 @@ pub(super) fn rollouts_of(
     RolloutFolder {
         path: folders.rollouts(policy, &plant.name),
         policy: Some(PolicyOfFolder { number: policy, name: policy_name(recipe, policy) }),
+        seed: None,
     }
 }
 

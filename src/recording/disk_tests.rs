@@ -161,7 +161,7 @@ fn a_viewer_sees_the_rollout_in_order_and_changes_no_byte() {
     }
     recorder.finish(outcome(), Vec::new()).unwrap();
     let begins = format!("nominal at {VIRTUAL_EPOCH_UNIX_NS}");
-    assert_eq!(*seen.0.lock().unwrap(), [&begins, "0", "1", "2", "Some(20)"]);
+    assert_eq!(*seen.0.lock().unwrap(), [&begins, "0", "1", "2", "Some(15)"]);
     assert_eq!(std::fs::read(&path).unwrap(), recorded(&ticks(3)), "the viewer changed a byte");
 }
 

@@ -68,7 +68,7 @@ pub enum RecordingError {
     },
     /// The recording was finished, and its end is missing.
     #[error(
-        "{path}: this rollout was finished, and the end of its recording is missing. Put the whole file back: its \
+        "{path}: this rollout was finished, and a part of its recording is missing. Put the whole file back: its \
          return cannot be computed from a part"
     )]
     CutOff {

@@ -6,7 +6,7 @@ use super::scan::{Damage, Scan, scan};
 use super::wire_format::MAGIC;
 use super::{FORMAT_VERSION, RecordingError, Unreadable, metadata};
 use crate::storage::{Disk, MachineDisk, open_regular};
-use crate::telemetry::{RolloutHeader, RolloutOutcome, TickRecord};
+use crate::telemetry::{Phase, RolloutHeader, RolloutOutcome, TickRecord};
 
 /// Largest file that is read, bytes: 256 MiB. A rollout of 20 s has about half a megabyte.
 const MAX_FILE_BYTES: u64 = 1 << 28;
@@ -60,6 +60,23 @@ impl Recording {
         before.saturating_sub(self.ticks.len())
     }
 
+    /// Number of recorded ticks in which the policy controlled the motor.
+    #[must_use]
+    pub fn steps(&self) -> usize {
+        self.ticks.iter().filter(|tick| tick.phase == Phase::Running).count()
+    }
+
+    /// Returns whether the recording has fewer steps of the policy than its outcome counts.
+    #[must_use]
+    pub fn lacks_end(&self) -> bool {
+        self.outcome.as_ref().is_some_and(|outcome| self.steps() < outcome.steps as usize)
+    }
+
+    /// The tick that stands before an earlier one, by its number; `None` if the ticks are in order.
+    fn out_of_order(&self) -> Option<u32> {
+        self.ticks.windows(2).find(|pair| pair[1].tick <= pair[0].tick).map(|pair| pair[0].tick)
+    }
+
     /// Missing part of the recording, in words that follow "the recording"; `None` if the file has
     /// every tick and the outcome.
     #[must_use]
@@ -68,13 +85,24 @@ impl Recording {
         if let Completeness::CutOff { reason, .. } = &self.completeness {
             return Some(format!("is cut off after {ticks} ticks ({reason})"));
         }
+        if let Some(tick) = self.out_of_order() {
+            return Some(format!("was changed: its tick {tick} stands before an earlier one"));
+        }
         if self.lacks_ticks() {
             let before = self.ticks.last().map_or(0, |last| last.tick as usize + 1);
             let missing = self.missing_ticks();
             return Some(format!("lacks {missing} of the first {before} ticks of its rollout"));
         }
-        let unknown = self.outcome.is_none();
-        unknown.then(|| format!("ends after {ticks} ticks, and how its rollout ended is not known"))
+        match &self.outcome {
+            Some(outcome) if self.lacks_end() => {
+                let (steps, whole) = (self.steps(), outcome.steps);
+                Some(format!("ends after {steps} of the {whole} steps of its policy"))
+            }
+            Some(_) => None,
+            None => {
+                Some(format!("ends after {ticks} ticks, and how its rollout ended is not known"))
+            }
+        }
     }
 }
 

@@ -21,6 +21,9 @@ pub enum Recovered {
         ticks: usize,
         /// Number of ticks that are missing before or between the saved ones.
         missing_ticks: usize,
+        /// Number of steps of the policy that are missing after the saved ticks; 0 if the outcome,
+        /// which counts them, was not saved, or if ticks are missing between the saved ones.
+        missing_steps_at_end: usize,
         /// Number of bytes of the old file that could not be used; its index does not count.
         lost_bytes: u64,
         /// True if the outcome was saved.
@@ -55,6 +58,11 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
     };
     let (ticks, missing_ticks) = (recording.ticks.len(), recording.missing_ticks());
     let has_outcome = recording.outcome.is_some();
+    let whole_steps = recording.outcome.as_ref().map_or(0, |outcome| outcome.steps as usize);
+    let missing_steps_at_end = match missing_ticks {
+        0 => whole_steps.saturating_sub(recording.steps()),
+        _ => 0,
+    };
     let lost = BTreeMap::from([
         ("lost_bytes".to_owned(), lost_bytes.to_string()),
         ("reason".to_owned(), damage),
@@ -64,7 +72,14 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => RecordingError::DiskFull { path },
         _ => RecordingError::Create { path, source },
     })?;
-    Ok(Recovered::Saved { ticks, missing_ticks, lost_bytes, has_outcome, has_policy })
+    Ok(Recovered::Saved {
+        ticks,
+        missing_ticks,
+        missing_steps_at_end,
+        lost_bytes,
+        has_outcome,
+        has_policy,
+    })
 }
 
 /// The bytes of a complete recording; `path` only appears in errors.
@@ -282,6 +297,7 @@ mod tests {
             let whole = Recovered::Saved {
                 ticks: 20,
                 missing_ticks: 0,
+                missing_steps_at_end: 0,
                 lost_bytes: 0,
                 has_outcome: true,
                 has_policy: true,

@@ -55,7 +55,7 @@ pub(crate) fn outcome() -> RolloutOutcome {
         last_answer_v: None,
         ending: Ending::LeftBox(Limit::Theta),
         phase: Phase::Braking,
-        steps: 20,
+        steps: 15,
         missed_deadlines: 1,
         records_lost: 0,
         observer_resets: 0,

@@ -80,6 +80,26 @@ pub enum CsvError {
         /// Name of a required column that the row lacks.
         column: &'static str,
     },
+    /// A row has more fields than the header. Its numbers may have decimal commas, so that each is
+    /// read as two.
+    #[error(
+        "line {line} has {fields} fields, and the header has {columns}: separate columns by commas, and write numbers \
+         with decimal points"
+    )]
+    LongRow {
+        /// Number of the line.
+        line: usize,
+        /// Number of fields in the row.
+        fields: usize,
+        /// Number of columns in the header.
+        columns: usize,
+    },
+    /// The columns are separated by another character than a comma.
+    #[error("the columns of the header are separated by `{separator}`: separate them by commas")]
+    OtherSeparator {
+        /// Character that separates the columns: `;`, or `tab`.
+        separator: &'static str,
+    },
     /// The table has fewer than two rows that are used.
     #[error("there are {rows} rows of numbers; a motion needs at least two")]
     TooFewRows {
@@ -130,6 +150,7 @@ pub(super) fn parse_csv(text: &str) -> Result<Vec<MotionSample>, CsvError> {
     let mut samples: Vec<MotionSample> = Vec::new();
     while let Some((line, text)) = lines.next() {
         let row = Row::of(line, text);
+        row.check_length(header.names.len())?;
         let mut sample = match &ticks {
             Some(ticks) if !ticks.is_of_policy(&row)? => continue,
             _ => row.sample(&columns, lines.peek().is_none())?,
@@ -196,6 +217,12 @@ impl<'a> Header<'a> {
 
     /// The required columns, in the order of [`COLUMNS`].
     fn motion(&self) -> Result<[Column; COLUMNS.len()], CsvError> {
+        if let [names] = self.names[..] {
+            let other = [(';', ";"), ('\t', "tab")].into_iter().find(|(it, _)| names.contains(*it));
+            if let Some((_, separator)) = other {
+                return Err(CsvError::OtherSeparator { separator });
+            }
+        }
         let mut columns = COLUMNS.map(|name| Column { name, place: 0 });
         for column in &mut columns {
             *column = self.column(column.name).ok_or_else(|| CsvError::MissingColumn {
@@ -220,6 +247,15 @@ struct Row<'a> {
 impl<'a> Row<'a> {
     fn of(line: usize, text: &'a str) -> Self {
         Self { line, fields: text.split(',').map(str::trim).collect() }
+    }
+
+    /// Refuses a row with more fields than the header has columns, unless the rest is empty.
+    fn check_length(&self, columns: usize) -> Result<(), CsvError> {
+        let rest = self.fields.get(columns..).unwrap_or_default();
+        if rest.iter().all(|field| field.is_empty()) {
+            return Ok(());
+        }
+        Err(CsvError::LongRow { line: self.line, fields: self.fields.len(), columns })
     }
 
     /// The text in a column; empty if the row ends before it.
@@ -500,6 +536,7 @@ mod tests {
                 "line 2: `` in column `voltage_v` is not a finite number",
             ),
             ("0,0,0\n", "line 2 ends before column `theta_dot_rad_s`"),
+            ("0,0,0,0,0,1,5\n", "line 2 has 7 fields, and the header has 6"),
             ("", "there are 0 rows"),
             ("0,0,0,0,0,1\n", "there are 1 rows"),
             ("0.1,0,0,0,0,1\n0.1,0,0,0,0,1\n", "line 3: time goes from 0.1 s to 0.1 s"),
@@ -512,6 +549,11 @@ mod tests {
         let message = parse_csv("time_s,theta_rad\n0,0\n").unwrap_err().to_string();
         assert_eq!(message, "the column `alpha_rad` is missing; the header has: time_s, theta_rad");
         assert!(matches!(parse_csv(""), Err(CsvError::MissingColumn { .. })));
+        for (separator, name) in [(";", ";"), ("\t", "tab")] {
+            let message = parse_csv(&HEADER.replace(',', separator)).unwrap_err().to_string();
+            assert!(message.contains(&format!("separated by `{name}`")), "{message}");
+        }
+        assert!(parse("0,0,0,0,0,1,\n0.1,0,0,0,0,1,\n").is_ok(), "an empty field at the end");
         let twice =
             "time_s,theta_rad,alpha_rad,theta_dot_rad_s,alpha_dot_rad_s,voltage_v,voltage_v\n";
         let message = parse_csv(twice).unwrap_err().to_string();

@@ -62,10 +62,8 @@ impl Incomplete {
     #[must_use]
     pub fn of(recording: &Recording) -> Option<Self> {
         let Some(outcome) = &recording.outcome else { return Some(Self::Cut) };
-        let running = recording.ticks.iter().filter(|tick| tick.phase == Phase::Running);
-        let lacks_ticks = outcome.records_lost > 0
-            || recording.lacks_ticks()
-            || running.count() < outcome.steps as usize;
+        let lacks_ticks =
+            outcome.records_lost > 0 || recording.lacks_ticks() || recording.lacks_end();
         match outcome.ending {
             _ if lacks_ticks => Some(Self::LostTicks),
             Ending::Completed => None,
@@ -257,7 +255,7 @@ mod tests {
         assert_eq!(Incomplete::of(&lossy), Some(Incomplete::LostTicks));
         // The last block of this file was damaged, so its last ticks could not be recovered.
         let mut end_lost = recording(Ending::Completed, 0);
-        end_lost.ticks.truncate(20);
+        end_lost.ticks.truncate(19);
         assert_eq!(Incomplete::of(&end_lost), Some(Incomplete::LostTicks));
         for (ending, words) in [
             (Ending::LeftBox(Limit::Theta), "left the box"),

@@ -74,8 +74,8 @@ pub fn mean_of(returns: &[f64]) -> Option<f64> {
 /// Reads the recording of a rollout that has finished; returns it with its verdict.
 ///
 /// # Errors
-/// The file is missing or cannot be read, its rollout is [`Verdict::Unfinished`] after all, or one
-/// of its bytes has changed.
+/// The file is missing or cannot be read, its rollout is [`Verdict::Unfinished`] after all, ticks are
+/// missing in it, or one of its bytes has changed.
 pub fn read_finished(disk: &dyn Disk, path: &Path) -> Result<(Recording, Verdict), RecordingError> {
     let recording = read_on(disk, path).map_err(|error| match error {
         RecordingError::Read { path, source } if is_absence(&source) => {
@@ -84,7 +84,9 @@ pub fn read_finished(disk: &dyn Disk, path: &Path) -> Result<(Recording, Verdict
         error => error,
     })?;
     match score_recording(&recording) {
-        Verdict::Unfinished => Err(RecordingError::CutOff { path: path.to_owned() }),
+        Verdict::Unfinished | Verdict::Void { reason: VoidReason::LostTicks } => {
+            Err(RecordingError::CutOff { path: path.to_owned() })
+        }
         verdict => Ok((recording, verdict)),
     }
 }
@@ -106,7 +108,9 @@ pub fn score_recording(recording: &Recording) -> Verdict {
     match outcome.ending {
         Ending::Stopped => Verdict::Unfinished,
         Ending::Fault(fault) => Verdict::Void { reason: VoidReason::Fault(fault) },
-        _ if recording.lacks_ticks() => Verdict::Void { reason: VoidReason::LostTicks },
+        _ if recording.lacks_ticks() || recording.lacks_end() => {
+            Verdict::Void { reason: VoidReason::LostTicks }
+        }
         Ending::Completed | Ending::LeftBox(_) => {
             let return_ = return_of(&recording.ticks, &recording.header.reward);
             let success = outcome.ending == Ending::Completed

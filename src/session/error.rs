@@ -130,7 +130,7 @@ pub enum SessionError {
     },
     /// The recording of another rollout is in the place of the recording of a finished rollout.
     #[error(
-        "{path}: this is the recording of {found}, which would count twice. Put the recording back that was there"
+        "{path}: this is a recording of {found}, which does not count here. Put the recording back that was there"
     )]
     RecordingMisplaced {
         /// Path of the recording.

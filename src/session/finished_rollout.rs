@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use super::{Finished, PolicyPaths, RolloutAttempt, SessionError};
+use super::{Finished, PolicyPaths, RolloutAttempt, SessionError, SessionSettings};
 use crate::policy::{MAX_FILE_BYTES as MAX_POLICY_BYTES, Policy};
 use crate::recording::Recording;
 use crate::scoring::{Verdict, read_finished};
@@ -23,6 +23,24 @@ pub fn finished_rollout(
     check_origin(&recording, &path, Some(candidate), finished.of_policy())?;
     check_policy(&recording, disk, &paths.policy())?;
     Ok((recording, verdict))
+}
+
+/// Checks that a recording names the session with these settings. Another session has rollouts of
+/// the same numbers, on another Qube.
+///
+/// # Errors
+/// It is the recording of another session.
+pub fn check_session(
+    recording: &Recording,
+    path: &Path,
+    settings: &SessionSettings,
+) -> Result<(), SessionError> {
+    let header = &recording.header;
+    if header.session == settings.name && header.seed == settings.seed {
+        return Ok(());
+    }
+    let found = format!("the session {} with seed {}", header.session, header.seed);
+    Err(SessionError::RecordingMisplaced { path: path.to_owned(), found })
 }
 
 /// Checks that a recording is of this attempt at a rollout of the candidate with this number. If

@@ -106,6 +106,15 @@ fn a_search_becomes_a_page_that_a_browser_shows_and_a_shell_repeats() {
     let poorer = fs::read_to_string(directory.join("poorer.html")).unwrap();
     assert_eq!(poorer.matches("Left out of this page: ").count(), 2);
 
+    // Changed settings are a problem, too, which a script finds in the fields of the output.
+    fs::write(folder.join("session.toml"), SMALL.replace("seed = 5", "seed = 6")).unwrap();
+    let output = qube_hil(directory, &["report", HOSTILE, "--out", "changed.html", "--json"]);
+    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let problems: Vec<&str> =
+        told["problems"].as_array().unwrap().iter().map(|it| it.as_str().unwrap()).collect();
+    assert!(output.status.code() == Some(3) && problems.len() == 3, "{told}");
+    assert!(problems[2].contains("session.toml was changed after the session began"), "{told}");
+
     // A folder that has lost its ledger keeps its page.
     fs::rename(folder.join("ledger.jsonl"), folder.join("ledger.lost")).unwrap();
     let output = qube_hil(directory, &["report", HOSTILE]);

@@ -287,6 +287,7 @@ mod tests {
         let header = RolloutHeader {
             candidate: Some(by.number),
             policy: by.name,
+            seed: folder.seed.unwrap(),
             rollout: 0,
             attempt: 0,
             ..header()

@@ -52,7 +52,12 @@ impl<'a> MethodRecordings<'a> {
     /// The recordings' folder as a [`RolloutFolder`]. It names no policy, because excitations and
     /// several policies may have made the recordings.
     fn rollouts(&self) -> RolloutFolder {
-        RolloutFolder { path: self.folder(), policy: None }
+        RolloutFolder { path: self.folder(), policy: None, seed: Some(self.seed()) }
+    }
+
+    /// Seed of the recordings. It differs from the run's own, which scoring uses.
+    fn seed(&self) -> u64 {
+        derived_seed(self.run.seed, SeedFor::ExperimentPart)
     }
 
     /// Largest number of repetitions of a recording after void attempts.
@@ -68,8 +73,7 @@ impl<'a> MethodRecordings<'a> {
     pub fn make(&self, number: u32, kind: Recorded, policy: &[u8]) -> Result<(), ExperimentError> {
         let (run, experiment) = (self.run, self.run.experiment);
         let settings = &run.recipe.settings;
-        // A separate seed, because scoring uses the run's own.
-        let seed = derived_seed(run.seed, SeedFor::ExperimentPart);
+        let seed = self.seed();
         let (name, steps) = match kind {
             Recorded::Excitation(shape) => {
                 (format!("excitation by {}", shape.name()), EXCITATION_STEPS)

@@ -10,7 +10,7 @@ use crate::experiment::{Experiment, ExperimentFolder, ExperimentSettings, Plant,
 use crate::qube::{Measurement, PlantModel, State};
 use crate::recording::{RolloutWriter, samples};
 use crate::rig::{DeviceChoice, RigSettings};
-use crate::session::{RolloutAttempt, SessionSettings, recording_in};
+use crate::session::{RolloutAttempt, SeedFor, SessionSettings, derived_seed, recording_in};
 use crate::simulation::Model;
 use crate::storage::MachineDisk;
 use crate::telemetry::{Ending, Phase, RolloutHeader, RolloutOutcome, TickRecord};
@@ -80,7 +80,8 @@ pub fn record(
     std::fs::create_dir_all(&folder).unwrap();
     let path = recording_in(&folder, attempt);
     let RolloutAttempt { rollout, attempt } = attempt;
-    let header = RolloutHeader { candidate: None, rollout, attempt, ..samples::header() };
+    let seed = derived_seed(run.seed, SeedFor::ExperimentPart);
+    let header = RolloutHeader { candidate: None, rollout, attempt, seed, ..samples::header() };
     record_with(&path, header, ending, steps, motion);
 }
 

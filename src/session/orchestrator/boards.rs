@@ -91,6 +91,7 @@ mod tests {
     use crate::recording::{RolloutWriter, samples};
     use crate::session::{AttemptId, Entry, Purpose, SessionFolder, SessionSettings};
     use crate::storage::MachineDisk;
+    use crate::telemetry::RolloutOutcome;
 
     /// A session on a real Qube whose file names this board and a profile.
     fn session(folder: &Path, board: Option<&str>) -> Session {
@@ -133,7 +134,7 @@ mod tests {
         ]);
         let path = session.recording(AttemptId { candidate: 0, rollout: 0, attempt: 0 });
         let writer = RolloutWriter::create(&MachineDisk, &path, header, samples::POLICY).unwrap();
-        writer.finish(&samples::outcome()).unwrap();
+        writer.finish(&RolloutOutcome { steps: 0, ..samples::outcome() }).unwrap();
     }
 
     #[test]

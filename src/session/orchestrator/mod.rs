@@ -21,6 +21,7 @@ use prepared::PreparedTrainings;
 use rollouts::SessionRig;
 use training_ahead::TrainingAhead;
 
+use super::finished_rollout::check_session;
 use super::seeds::SeedFor;
 use super::{
     AttemptId, Candidate, Entry, Finished, FolderError, Ledger, LedgerError, ScoredCandidate,
@@ -426,6 +427,7 @@ impl Session {
         }
         let (disk, paths) = (self.folder.disk(), self.folder.paths().candidate(candidate));
         let (recording, verdict) = finished_rollout(disk, &paths, candidate, finished)?;
+        check_session(&recording, &paths.rollout(finished.of_policy()), &self.settings)?;
         let scored = ScoredRollout::of(&recording, verdict);
         self.scored.insert(attempt, scored.clone());
         Ok(scored)

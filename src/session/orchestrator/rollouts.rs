@@ -11,7 +11,7 @@ use crate::recording::{Recording, RecordingError, read_on};
 use crate::rig::{ClockChoice, NotBegun, Rig, RigError, RigSettings, RolloutPlan};
 use crate::safety::Limit;
 use crate::scoring::{Verdict, score_recording};
-use crate::session::finished_rollout::{check_origin, check_policy};
+use crate::session::finished_rollout::{check_origin, check_policy, check_session};
 use crate::session::folder::put_aside;
 use crate::session::plan::{identifying, wanted_rollouts};
 use crate::session::seeds::{SeedFor, derived_seed};
@@ -194,6 +194,7 @@ impl Session {
             return Ok(false);
         }
         let candidate = turn.attempt.candidate;
+        check_session(&recording, &path, &self.settings)?;
         check_origin(&recording, &path, Some(candidate), turn.attempt.of_policy())?;
         check_policy(&recording, disk, &self.policy_path(candidate))?;
         Ok(true)
