@@ -29,7 +29,10 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
     let fault = error.fault();
     let failure = match error {
         RigError::Stopped { .. } => stop.failure(error),
-        RigError::Homing { .. } | RigError::LinkLost { .. } | RigError::Travel { .. } => {
+        RigError::Homing { .. }
+        | RigError::LinkLost { .. }
+        | RigError::Travel { .. }
+        | RigError::Unrecorded { .. } => {
             let then = match error.doubt() {
                 Some(_) => format!(" {THEN_ACKNOWLEDGE}."),
                 None => String::new(),

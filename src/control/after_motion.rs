@@ -14,7 +14,8 @@ const SLEEP_US: u64 = 2_000_000;
 /// A fault that ends the run or leaves a doubt comes first, then a sleep of the computer, which
 /// ends the run whatever else happened meanwhile. If the motor is not confirmed to be off, the log
 /// reports it, and the result is [`Fault::OffUnconfirmed`], unless one of these, or a lost link, is
-/// the result. [`DriveReport::disarmed`] shows whether the motor was confirmed to be off.
+/// the result. A device that answers that its motor is still on is a defect of the board and not of
+/// the link: [`Fault::StaysArmed`]. [`DriveReport::disarmed`] shows whether the motor was confirmed to be off.
 #[must_use]
 pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     let fault = match report.outcome.ending {
@@ -24,8 +25,10 @@ pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     if let Err(error) = &report.disarmed {
         warn_off_unconfirmed(error);
     }
+    let stays_armed = matches!(report.disarmed, Err(DeviceError::StaysArmed { .. }));
     match fault.map(Fault::consequence) {
         Some(Consequence::Examine | Consequence::End) => fault,
+        _ if stays_armed => Some(Fault::StaysArmed),
         _ if is_hardware && has_slept(report) => Some(Fault::ComputerSlept),
         Some(Consequence::Reconnect) => fault,
         Some(Consequence::TryAgain) | None if report.disarmed.is_err() => {

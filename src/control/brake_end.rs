@@ -75,8 +75,15 @@ impl BrakeEnd {
     }
 
     /// The arm's state if the brake ends in this tick, after `periods` periods of braking; `None`
-    /// if the brake goes on.
-    pub fn check(&mut self, arm: &State, periods: u32, kind: BrakeKind) -> Option<ArmAfterBrake> {
+    /// if the brake goes on. If `waits` is true, an arm at rest does not end the brake of a guard
+    /// that centres it, because the pendulum may still move the arm.
+    pub fn check(
+        &mut self,
+        arm: &State,
+        periods: u32,
+        kind: BrakeKind,
+        waits: bool,
+    ) -> Option<ArmAfterBrake> {
         let speed_rad_s = arm.theta_dot.abs();
         let (is_at_rest, most_ticks) = match self.guard {
             // A frozen count looks stopped at once although the arm may move, so the count must
@@ -90,7 +97,7 @@ impl BrakeEnd {
                 (self.stopped_ticks >= STOPPED_TICKS, MAX_BRAKING_TICKS)
             }
             Guard::Envelope | Guard::Foresight => {
-                (self.centred.is_centred(arm.theta), MAX_RETURN_TICKS)
+                (self.centred.is_centred(arm.theta) && !waits, MAX_RETURN_TICKS)
             }
         };
         let time_is_up = periods >= most_ticks;
@@ -114,7 +121,21 @@ mod tests {
         let guard = Guard::Foresight;
         let centred = CentredDetector::default();
         let mut rule = BrakeEnd { guard, rules, centred, stopped_ticks: 0 };
-        rule.check(&State { theta_dot, ..State::default() }, periods, BrakeKind::Guarded)
+        let arm = State { theta_dot, ..State::default() };
+        rule.check(&arm, periods, BrakeKind::Guarded, false)
+    }
+
+    #[test]
+    fn a_brake_that_waits_goes_on_until_its_time_is_up() {
+        let ends_after = |waits: bool| {
+            let centred = CentredDetector::default();
+            let (guard, rules) = (Guard::Foresight, TickRules::NEWEST);
+            let mut rule = BrakeEnd { guard, rules, centred, stopped_ticks: 0 };
+            (1..2000).find(|&periods| {
+                rule.check(&State::default(), periods, BrakeKind::Guarded, waits).is_some()
+            })
+        };
+        assert_eq!([false, true].map(ends_after), [Some(61), Some(MAX_RETURN_TICKS)]);
     }
 
     #[test]

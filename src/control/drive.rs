@@ -1,5 +1,6 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use super::after_motion::warn_off_unconfirmed;
 use super::last_ticks::LastTicks;
 use super::latency::LatencyHistogram;
 use super::{DeviceLoss, Motion, TickInput};
@@ -62,7 +63,8 @@ impl DriveReport {
 /// `heat` is the motor's heat before the motion, and becomes its heat afterwards.
 ///
 /// # Errors
-/// The device could not be armed; nothing has moved then.
+/// The device could not be armed; nothing has moved then. A device that has not refused is disarmed,
+/// because only its answer may be lost.
 pub fn drive(
     device: &mut dyn Device,
     clock: &dyn Clock,
@@ -82,7 +84,15 @@ pub fn drive(
     let _awake = clock.stay_awake();
     let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
     let suspended_before_ns = clock.suspended_ns();
-    device.arm()?;
+    if let Err(error) = device.arm() {
+        // The order may have reached a device whose answer was lost.
+        if !matches!(error, DeviceError::Refused { .. })
+            && let Err(unconfirmed) = device.disarm()
+        {
+            warn_off_unconfirmed(&unconfirmed);
+        }
+        return Err(error);
+    }
     let mut deadline_ns = clock.now_ns() + CONTROL_PERIOD_NS;
     let mut skipped_periods = 0;
     let (ending, phase) = loop {

@@ -17,7 +17,10 @@ const MOTIONLESS_TICKS: u32 = 1000;
 /// Velocity against its voltage that a healthy arm does not exceed during homing, rad/s.
 const RUNAWAY_RAD_S: f64 = 4.0;
 
-/// Ticks above `RUNAWAY_RAD_S` after which the arm runs away.
+/// Velocity that no arm reaches during homing, whatever its voltage and its pendulum do, rad/s.
+const FASTEST_RAD_S: f64 = 10.0;
+
+/// Ticks above `RUNAWAY_RAD_S` or `FASTEST_RAD_S` after which the arm runs away.
 const RUNAWAY_TICKS: u32 = 4;
 
 /// Swing, as |sin(alpha)| + |alpha_dot| / (15 rad/s), above which the pendulum itself makes the arm
@@ -69,7 +72,7 @@ impl Motionless {
 }
 
 /// Counts the ticks for which the arm has been fast against its voltage, although only the motor
-/// should move it.
+/// should move it, or faster than homing moves any arm.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Runaway {
     ticks: u32,
@@ -81,7 +84,8 @@ impl Runaway {
     pub fn lasts(&mut self, state: &State, voltage_v: f64) -> bool {
         let swings = libm::sin(state.alpha).abs() + state.alpha_dot.abs() / 15.0 > THROWING_SWING;
         let against = state.theta_dot * voltage_v < 0.0;
-        let runs = against && !swings && state.theta_dot.abs() > RUNAWAY_RAD_S;
+        let speed_rad_s = state.theta_dot.abs();
+        let runs = speed_rad_s > FASTEST_RAD_S || against && !swings && speed_rad_s > RUNAWAY_RAD_S;
         self.ticks = if runs { self.ticks + 1 } else { 0 };
         self.ticks >= RUNAWAY_TICKS
     }

@@ -3,6 +3,7 @@
 use super::ControlEvent;
 use super::brake_end::{ArmAfterBrake, BrakeEnd, BrakeKind};
 use super::rules_of_recordings::{brake_of, damping_brake};
+use crate::elementary::Scalar;
 use crate::qube::{MAX_HISTORY, State};
 use crate::safety::{Brake, TrustedForesight, clamp_to_mv};
 use crate::telemetry::{Ending, Fault, Phase, TickRules, TickSettings};
@@ -14,6 +15,12 @@ const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
 /// Periods of braking within which a jump of the pendulum's count counts as the reason for the
 /// braking. A jump is recognised one sample later than the guard acts on it.
 const JUMP_KNOWN_TICKS: u32 = 2;
+
+/// Returns whether the pendulum is nearer to upright than to hanging. Once it falls, it moves an arm
+/// whose motor is off.
+fn is_upright(state: &State) -> bool {
+    Scalar::sin_cos(state.alpha).1 < 0.0
+}
 
 /// The brake of a rollout.
 #[derive(Debug)]
@@ -69,14 +76,21 @@ impl RolloutBrake {
         }
     }
 
-    /// Returns whether this fault is the reason why box or foresight began to brake, `periods` ago;
-    /// `ending` is the ending for which they did. A step of the pendulum's count is known to be a
-    /// jump only one sample later.
-    pub fn is_explained_by(&self, fault: Fault, periods: u32, ending: Ending) -> bool {
-        self.rules.explains_brake_by_jump()
-            && fault == Fault::PendulumJump
-            && periods <= JUMP_KNOWN_TICKS
-            && matches!(ending, Ending::LeftBox(_))
+    /// Returns whether this fault, which shows only while the arm is braked, voids the rollout;
+    /// the brake began `periods` ago for `ending`. A step of the pendulum's count is known to be a
+    /// jump only one sample after box or foresight began to brake for it. A constant count of the
+    /// pendulum is known to be frozen only once the arm has accelerated, and the policy may have
+    /// seen it for long.
+    pub fn is_voided_by(&self, fault: Fault, periods: u32, ending: Ending) -> bool {
+        match fault {
+            Fault::PendulumJump => {
+                self.rules.explains_brake_by_jump()
+                    && periods <= JUMP_KNOWN_TICKS
+                    && matches!(ending, Ending::LeftBox(_))
+            }
+            Fault::PendulumFrozen => self.rules.voids_frozen_pendulum(),
+            _ => false,
+        }
     }
 
     /// The event that ends braking after `periods` periods, with the ending that it gives: the arm
@@ -89,7 +103,10 @@ impl RolloutBrake {
         ending: Ending,
     ) -> Option<(ControlEvent, Ending)> {
         let kind = if self.damps { BrakeKind::Damping } else { BrakeKind::Guarded };
-        Some(match self.end.check(arm, periods, kind)? {
+        let pendulum_is_doubted =
+            matches!(ending, Ending::Fault(Fault::PendulumFrozen | Fault::PendulumJump));
+        let waits = self.rules.waits_for_pendulum() && !pendulum_is_doubted && is_upright(arm);
+        Some(match self.end.check(arm, periods, kind, waits)? {
             ArmAfterBrake::Stopped => (ControlEvent::BrakingEnded, ending),
             ArmAfterBrake::Disobeys => {
                 (ControlEvent::SwitchOffFault, Ending::Fault(Fault::BrakingTimedOut))

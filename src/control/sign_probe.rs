@@ -4,7 +4,7 @@ use super::watch::{Alarm, Watch, most_urgent};
 use super::{ControlState, Motion, TickInput, TickOutput};
 use crate::estimation::{Calibration, Estimator, EstimatorSettings};
 use crate::qube::{Encoders, PlantModel, State};
-use crate::safety::{brake_voltage, clamp_to_mv};
+use crate::safety::{Winding, brake_voltage, clamp_to_mv};
 use crate::telemetry::Ending;
 
 /// Ticks at 0 V before the push, which show how pendulum and arm move by themselves.
@@ -89,6 +89,12 @@ pub enum ProbeStage {
     /// 0 V from the end of the brake, or of the opposite voltage, to the end of the probe.
     Coast,
 }
+
+/// Back EMF of an arm that a push turns, V: that of a Qube's arm at 5 rad/s.
+const PUSHED_BACK_EMF_V: f64 = 0.2;
+
+/// Number of samples with an unexplained current from which on a probe reports it.
+const UNEXPLAINED_SAMPLES: usize = 3;
 
 /// One sample of a probe, with angles in the assumed signs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -194,6 +200,18 @@ impl ProbeTrace {
     #[must_use]
     pub fn current_a(&self) -> f64 {
         self.samples().iter().map(|sample| sample.current_a).fold(0.0, f64::max)
+    }
+
+    /// Returns whether three or more samples show more current than their voltages explain
+    /// ([`Winding::largest_current_a`](crate::safety::Winding::largest_current_a)); a push hardly
+    /// turns the arm, so that its back EMF is small.
+    #[must_use]
+    pub fn draws_unexplained_current(&self) -> bool {
+        let winding = Winding::of(&self.plant);
+        let is_unexplained = |sample: &&ProbeSample| {
+            sample.current_a > winding.largest_current_a(sample.applied_v, PUSHED_BACK_EMF_V)
+        };
+        self.samples().iter().filter(is_unexplained).count() >= UNEXPLAINED_SAMPLES
     }
 
     /// Fraction, 0 to 1, by which the motor current had fallen at the end of the push from its

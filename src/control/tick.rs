@@ -247,7 +247,7 @@ impl<C: Controller> Tick<C> {
             }
             Alarm::Brake(fault)
                 if self.phase == Phase::Braking
-                    && self.brake.is_explained_by(fault, self.periods_in_phase, self.ending) =>
+                    && self.brake.is_voided_by(fault, self.periods_in_phase, self.ending) =>
             {
                 self.take(ControlEvent::CountDoubted, Ending::Fault(fault))
             }

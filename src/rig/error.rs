@@ -85,7 +85,11 @@ pub enum RigError {
     },
     /// The link failed before a rollout could begin, or the counts moved after homing, so that the
     /// zeros are out of date. The rollout has moved nothing.
-    #[error("the rollout could not begin: {source}. {}", fault.motor_and_step(MotorState::Off))]
+    #[error(
+        "the rollout could not begin: {}. {}",
+        cause_of_not_begun(*fault, source),
+        fault.motor_and_step(MotorState::Off)
+    )]
     NotBegun {
         /// Entry of the table of faults that corresponds to the cause.
         fault: Fault,
@@ -177,6 +181,18 @@ pub enum RigError {
     /// The recording failed.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// A fault ended a rollout whose recording failed as well.
+    #[error("{fault}. {} Besides, the recording failed: {source}", fault.motor_and_step(*motor))]
+    Unrecorded {
+        /// Fault that ended the rollout.
+        fault: Fault,
+        /// State of the motor afterwards.
+        motor: MotorState,
+        /// Doubt about the Qube that the fault leaves, if it leaves one.
+        doubt: Option<Box<Doubt>>,
+        /// Error of the recording.
+        source: RecordingError,
+    },
     /// The policy only names a controller outside of this program.
     #[error(
         "the policy is the controller {name:?} outside of this program: a recording of it can be replayed, and only \
@@ -217,6 +233,15 @@ fn lost_link_step(source: &DeviceError) -> &'static str {
     }
 }
 
+/// The reason why a rollout could not begin. Control refuses a rollout because of the fault that an
+/// earlier motion has latched; its own words name states of control, which no operator knows.
+fn cause_of_not_begun(fault: Fault, source: &ControlError) -> String {
+    match source {
+        ControlError::Refused { .. } => fault.to_string(),
+        source => source.to_string(),
+    }
+}
+
 /// The failed checks with their remedies, one check a line.
 fn listed(results: &[CheckResult]) -> String {
     let line = |result: &CheckResult| {
@@ -244,6 +269,7 @@ impl RigError {
     pub fn fault(&self) -> Option<Fault> {
         match self {
             Self::Homing { fault, .. }
+            | Self::Unrecorded { fault, .. }
             | Self::NotBegun { fault, .. }
             | Self::MiddleLost { fault }
             | Self::Ended { fault } => Some(*fault),
@@ -263,7 +289,9 @@ impl RigError {
     pub fn doubt(&self) -> Option<&Doubt> {
         match self {
             Self::InDoubt(doubt) | Self::Travel { doubt, .. } => Some(doubt),
-            Self::Homing { doubt, .. } | Self::CheckFailed { doubt, .. } => doubt.as_deref(),
+            Self::Homing { doubt, .. }
+            | Self::Unrecorded { doubt, .. }
+            | Self::CheckFailed { doubt, .. } => doubt.as_deref(),
             _ => None,
         }
     }
@@ -283,6 +311,7 @@ impl RigError {
             | Self::BoardChanged { .. }
             | Self::MiddleLost { .. }
             | Self::WrongBoard { .. }
+            | Self::Unrecorded { .. }
             | Self::InDoubt(_)
             | Self::Ended { .. }
             | Self::CheckFailed { .. } => true,
@@ -337,12 +366,12 @@ pub(super) fn link_fault(error: &DeviceError) -> Option<Fault> {
             RefusalReason::Faulted => Some(Fault::Amplifier),
             RefusalReason::WatchdogTripped => Some(Fault::WatchdogTripped),
             // A device that has had a hello reports that its motor is on.
-            RefusalReason::AlreadyArmed => Some(Fault::OffUnconfirmed),
+            RefusalReason::AlreadyArmed => Some(Fault::StaysArmed),
             _ => None,
         },
         DeviceError::Link { .. } | DeviceError::FellSilent { .. } => Some(Fault::NoSample),
         DeviceError::Restarted { .. } => Some(Fault::BoardRestarted),
-        DeviceError::StaysArmed { .. } => Some(Fault::OffUnconfirmed),
+        DeviceError::StaysArmed { .. } => Some(Fault::StaysArmed),
         DeviceError::Hil(error) if error.is_silence() => Some(Fault::NoSample),
         _ => None,
     }

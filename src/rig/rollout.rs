@@ -191,12 +191,23 @@ impl Rig {
                 report.outcome.contradiction.map_or_else(String::new, |it| format!(" ({it})"));
             tracing::warn!(
                 "the Qube does not move as its profile predicts{detail}, so it is guarded as an unknown one. Is the \
-                 pendulum another one, or is the supply weak?"
+                 pendulum another one, is the supply weak, or is a cable of an encoder or of the motor loose?"
             );
             self.distrust_profile();
         }
-        let path = recorder.finish(report.outcome.clone(), report.last_ticks)?;
-        Ok(Recorded { path, outcome: report.outcome })
+        let latched = self.last_fault.get();
+        match recorder.finish(report.outcome.clone(), report.last_ticks) {
+            Ok(path) => Ok(Recorded { path, outcome: report.outcome }),
+            Err(source) => Err(match latched {
+                Some(fault) => RigError::Unrecorded {
+                    fault,
+                    motor: self.motor.get(),
+                    doubt: fault.leaves_doubt().then(|| Box::new(self.doubt(fault))),
+                    source,
+                },
+                None => source.into(),
+            }),
+        }
     }
 
     /// Checks that the rig may be driven with these settings.

@@ -47,7 +47,9 @@ pub use foresight::{Ends, Foresight, Outlook, Prediction, PredictionHorizon};
 pub use foresight_settings::{ForesightError, ForesightSettings, IdentifiedQube};
 pub use guard::Guard;
 pub use hardware_limits::{GuardConsent, HardwareLimits, HardwareRefusal, PlantConsent};
-pub use motor_heat::{COOLED_LOAD, LARGEST_LOAD, MotorHeat, WARNING_LOAD, Winding};
+pub use motor_heat::{
+    COOLED_LOAD, CURRENT_OFFSET_A, LARGEST_LOAD, MotorHeat, WARNING_LOAD, Winding,
+};
 pub use particle::Particle;
 pub use safety_box::{Limit, SafetyBox};
 pub use trusted_foresight::TrustedForesight;

@@ -21,7 +21,7 @@ pub const COOLED_LOAD: f64 = 0.5;
 const LEAST_RESISTANCE_OHM: f64 = 3.5;
 
 /// Allowed zero error of the current sensor, A.
-const CURRENT_OFFSET_A: f64 = 0.1;
+pub const CURRENT_OFFSET_A: f64 = 0.1;
 
 /// Estimate of the winding's temperature rise relative to the rise at the rated continuous current,
 /// from a first-order model with (current / rated current)^2 as its input, known as I^2 t.
@@ -59,6 +59,16 @@ impl Winding {
             resistance_ohm: plant.parameters.motor_resistance_ohm,
             back_emf_v_s: plant.parameters.motor_back_emf_v_s,
         }
+    }
+
+    /// The largest current that this motor may draw, A: that of the smallest accepted resistance,
+    /// with voltage and back EMF (V) in the same direction, and the allowed zero error of the
+    /// sensor.
+    #[must_use]
+    pub fn largest_current_a(&self, voltage_v: f64, back_emf_v: f64) -> f64 {
+        let of_qube = self.resistance_ohm / Self::default().resistance_ohm;
+        let least_ohm = of_qube * LEAST_RESISTANCE_OHM;
+        (voltage_v.abs() + back_emf_v.abs()) / least_ohm + CURRENT_OFFSET_A
     }
 
     fn is_qube(&self) -> bool {
@@ -139,12 +149,10 @@ fn current_a(
     winding: Winding,
 ) -> f64 {
     let Winding { resistance_ohm, back_emf_v_s } = winding;
-    let of_qube = resistance_ohm / Winding::default().resistance_ohm;
     let speed_rad_s = if theta_dot_rad_s.is_finite() { theta_dot_rad_s } else { 0.0 };
     let back_emf_v = back_emf_v_s * speed_rad_s;
     let modelled_a = (voltage_v - back_emf_v).abs() / resistance_ohm;
-    let largest_a =
-        (voltage_v.abs() + back_emf_v.abs()) / (of_qube * LEAST_RESISTANCE_OHM) + CURRENT_OFFSET_A;
+    let largest_a = winding.largest_current_a(voltage_v, back_emf_v);
     let measured_a = measurement.map_or(0.0, |sample| f64::from(sample.current_a).abs());
     // The comparison is false for NaN too.
     if measured_a <= largest_a { measured_a.max(modelled_a) } else { modelled_a }

@@ -137,6 +137,12 @@ faults! {
     VoltageDiffers: Examine,
         "the device reports another voltage at its motor than the program has sent",
         "Switch the Qube off: its motor does not follow the program. Check the board, its firmware and its wires.";
+    StaysArmed: Examine,
+        "the device answers that its motor is still on",
+        "Switch the Qube off; check the board, its firmware and its wires.";
+    CurrentUnexplained: Examine,
+        "more current flows through the motor than its voltage explains (a defect of the amplifier or of its current sensor?)",
+        "Switch the Qube off: its motor may be driven without a command. Check the board and its wires.";
     StallError: Examine,
         "the Qube reports a stall and has switched its motor off",
         "Free the arm; check whether cables have wound around it.";
@@ -169,7 +175,7 @@ faults! {
         "Check the arm's encoder, its cable and its plug.";
     SettlingTimedOut: Examine,
         "arm and pendulum did not come to rest within 15 s",
-        "Check whether something moves or holds arm or pendulum.";
+        "Check whether something moves or holds arm or pendulum; check the cables of both encoders.";
     BrakingTimedOut: Examine,
         "the arm still turned faster than 15 rad/s after 1 s of braking, or faster than 5 rad/s at the end of the time for braking",
         "Switch the Qube off; check the motor and the arm's encoder.";

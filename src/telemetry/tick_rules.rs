@@ -53,11 +53,14 @@ pub enum TickRules {
     /// Keeps a fault that leaves a doubt as the ending if another fault, which leaves none,
     /// switches the motor off while the arm is still damped or braked.
     DoubtKept,
+    /// Voids a rollout whose pendulum's count proves frozen while the arm is braked for another
+    /// reason, and lets the brake go on while the pendulum stands upright.
+    PendulumWaited,
 }
 
 impl TickRules {
     /// The rules of this program.
-    pub const NEWEST: Self = Self::DoubtKept;
+    pub const NEWEST: Self = Self::PendulumWaited;
 
     /// Returns whether the two encoders are checked against each other.
     pub(crate) fn cross_checks_encoders(self) -> bool {
@@ -175,6 +178,17 @@ impl TickRules {
     /// Returns whether an arm that is fast after a second of braking is a fault.
     pub(crate) fn tests_braked_speed(self) -> bool {
         self >= Self::VoltageCompared
+    }
+
+    /// Returns whether a pendulum's count that proves frozen while the arm is braked voids the
+    /// rollout.
+    pub(crate) fn voids_frozen_pendulum(self) -> bool {
+        self >= Self::PendulumWaited
+    }
+
+    /// Returns whether the brake goes on while the pendulum stands upright.
+    pub(crate) fn waits_for_pendulum(self) -> bool {
+        self >= Self::PendulumWaited
     }
 
     /// Returns whether a fault that leaves a doubt stays the ending if another fault, which leaves

@@ -20,10 +20,10 @@ struct Rollout {
 }
 
 fn rollout(fault: Option<EmulatorFault>) -> Rollout {
-    rollout_by(TickRules::NEWEST, fault)
+    rollout_by(TickRules::NEWEST, SafetyBox::THESIS, fault)
 }
 
-fn rollout_by(rules: TickRules, fault: Option<EmulatorFault>) -> Rollout {
+fn rollout_by(rules: TickRules, safety_box: SafetyBox, fault: Option<EmulatorFault>) -> Rollout {
     let clock = VirtualClock::default();
     let now_s = || clock.now_ns() as f64 * 1e-9;
     let emulator = EmulatorSettings { fault, seed: 1000, ..EmulatorSettings::default() };
@@ -36,7 +36,7 @@ fn rollout_by(rules: TickRules, fault: Option<EmulatorFault>) -> Rollout {
     assert_eq!(homed.outcome.ending, Ending::Completed);
     let settings = TickSettings {
         calibration: homing.measured().unwrap().calibration,
-        safety_box: SafetyBox::THESIS,
+        safety_box,
         rules,
         ..RolloutPlan::single("counts", "classical").header().settings
     };
@@ -76,7 +76,8 @@ fn a_jump_of_the_pendulums_count_is_a_fault_also_where_the_box_brakes_because_of
             assert!(matches!(ending, Ending::Fault(_)), "{instant_s} s, {counts}: {ending:?}");
             named += u32::from(ending == Ending::Fault(Fault::PendulumJump));
             rollouts += 1;
-            let earlier = rollout_by(TickRules::HeatByGuardedSpeed, Some(fault)).ending;
+            let earlier =
+                rollout_by(TickRules::HeatByGuardedSpeed, SafetyBox::THESIS, Some(fault)).ending;
             by_box += u32::from(matches!(earlier, Ending::LeftBox(_)));
         }
         instant_s += 0.37;
@@ -84,4 +85,35 @@ fn a_jump_of_the_pendulums_count_is_a_fault_also_where_the_box_brakes_because_of
     println!("{named} of {rollouts} jumps are named; by earlier rules {by_box} made the box brake");
     assert!(rollouts > 20 && 4 * named >= 3 * rollouts, "{named} of {rollouts}");
     assert!(by_box > 0, "no jump made the box brake");
+}
+
+#[test]
+fn a_pendulum_that_freezes_in_a_swing_voids_the_rollout() {
+    let Rollout { began_s, ended_s, .. } = rollout(None);
+    // With a narrow box, or with a guard that notices the freeze, the brake begins before the freeze
+    // is known.
+    let narrow = SafetyBox { theta: 0.6, ..SafetyBox::default() };
+    let (mut rollouts, mut void, mut void_by_earlier_rules) = (0, 0, 0);
+    let mut instant_s = began_s + 0.3;
+    while instant_s < ended_s - 1.0 {
+        let fault = Some(EmulatorFault::FrozenAlpha { after_s: instant_s });
+        let is_void = |rules: TickRules| {
+            let Rollout { ending, ended_s, .. } = rollout_by(rules, narrow, fault);
+            let has_frozen = ended_s > instant_s + 0.3;
+            (has_frozen, u32::from(matches!(ending, Ending::Fault(_))))
+        };
+        let (has_frozen, now) = is_void(TickRules::NEWEST);
+        let (_, earlier) = is_void(TickRules::DoubtKept);
+        assert!(now >= earlier, "{instant_s} s");
+        if has_frozen {
+            void += now;
+            void_by_earlier_rules += earlier;
+            rollouts += 1;
+        }
+        instant_s += 0.19;
+    }
+    println!(
+        "{void} of {rollouts} freezes void the rollout; by earlier rules {void_by_earlier_rules}"
+    );
+    assert!(void > void_by_earlier_rules, "{void} and {void_by_earlier_rules} of {rollouts}");
 }

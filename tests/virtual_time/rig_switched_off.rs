@@ -252,13 +252,17 @@ fn a_motor_that_is_not_confirmed_to_be_off_is_told_beside_the_fault_of_homing() 
 #[test]
 fn a_device_that_says_that_it_stays_armed_is_named() {
     let ignored = EmulatorFault::IgnoredDisarm { after_s: 20.0 };
-    let bench = Bench::open(Some(ignored), HomingMethod::Hand);
+    let mut bench = Bench::open(Some(ignored), HomingMethod::Hand);
     let mut rollouts = 0;
     while bench.rig.last_fault().is_none() && rollouts < 9 {
         bench.rollout(&format!("{rollouts}.mcap")).unwrap();
         rollouts += 1;
     }
-    assert_eq!(bench.rig.last_fault(), Some(Fault::OffUnconfirmed));
+    assert_eq!(bench.rig.last_fault(), Some(Fault::StaysArmed));
+    // The operator has been told to switch the Qube off, so nothing moves by itself.
+    assert!(bench.has_stored_doubt());
+    let refused = bench.rig.start_again().unwrap_err();
+    assert!(matches!(refused, RigError::InDoubt(_)), "{refused}");
     let unconfirmed = bench.rig.check_off().unwrap_err();
     assert!(unconfirmed.to_string().contains("Switch the Qube off"), "{unconfirmed}");
 }

@@ -93,6 +93,8 @@ pub(super) struct Evidence {
     pub(super) current_a: f64,
     /// Current that a motor with a good contact draws at least in the largest push, A.
     least_a: f64,
+    /// True if a push showed more current than its voltage explains.
+    pub(super) has_unexplained_current: bool,
     /// Largest share by which the current fell in a push that neither encoder showed; 0 if no such
     /// fall reached [`TURNING_DROP`].
     pub(super) current_drop: f64,
@@ -129,6 +131,7 @@ impl Evidence {
             (self.strongest_v, self.current_a) = (push_v, trace.current_a());
             self.least_a = WEAK_A_V * trace.current_per_qube_current() * push_v;
         }
+        self.has_unexplained_current |= trace.draws_unexplained_current();
         let arm_is_still = arm_counts < DEAD_COUNTS + 0.5;
         let anything = arm_counts > AT_REST_COUNTS + 0.5 || is_driven;
         self.moved |= anything;

@@ -295,6 +295,10 @@ fn motor(seen: &Evidence) -> CheckResult {
         let value = format!("{value} are far less than the motor should draw, and nothing moves");
         return CheckResult::fail(MOTOR, value, Fault::MotorWeak.operator_step());
     }
+    if seen.has_unexplained_current {
+        let value = format!("{value} are more than any motor draws at this voltage");
+        return CheckResult::fail(MOTOR, value, Fault::CurrentUnexplained.operator_step());
+    }
     CheckResult::pass(MOTOR, value)
 }
 
