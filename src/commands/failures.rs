@@ -18,6 +18,7 @@ use crate::preflight::watchdog_failed;
 use crate::recording::RecordingError;
 use crate::rig::RigError;
 use crate::session::{FolderError, LedgerError, RigSessions, SessionError, SessionPaths};
+use crate::telemetry::Fault;
 
 /// Sentence about the operator's step after looking at a Qube in doubt, and the program's next
 /// step.
@@ -48,6 +49,10 @@ pub fn rig(error: RigError, stop: &Stop) -> Failure {
         RigError::InDoubt(_) => Failure::fault(format!("{error}. {THEN_ACKNOWLEDGE}")),
         // A failing link is a fault, not bad usage, and so is a board that refuses.
         RigError::Device(DeviceError::Refused { .. }) => Failure::fault(error),
+        RigError::Device(_) if matches!(fault, Some(Fault::LinkGone | Fault::StaysArmed)) => {
+            let step = fault.map_or("", Fault::operator_step);
+            Failure::fault(format!("{error}. {step}"))
+        }
         RigError::Device(_) if fault.is_some() => Failure::fault(error),
         RigError::Recording(error) => recording(&error),
         RigError::Emulator(_) | RigError::Thread(_) => Failure::failed(error),

@@ -11,11 +11,12 @@ const SLEEP_US: u64 = 2_000_000;
 /// the whole report shows; `None` after a motion without a fault. With an emulated Qube, a sleep of
 /// the computer is no fault.
 ///
-/// A fault that ends the run or leaves a doubt comes first, then a sleep of the computer, which
-/// ends the run whatever else happened meanwhile. If the motor is not confirmed to be off, the log
-/// reports it, and the result is [`Fault::OffUnconfirmed`], unless one of these, or a lost link, is
-/// the result. A device that answers that its motor is still on is a defect of the board and not of
-/// the link: [`Fault::StaysArmed`]. [`DriveReport::disarmed`] shows whether the motor was confirmed to be off.
+/// A fault that ends the run or leaves a doubt comes first. Then comes a device that answers that
+/// its motor is still on, which is a defect of the board and not of the link
+/// ([`Fault::StaysArmed`]), then a sleep of the computer, which ends the run whatever else happened
+/// meanwhile. If the motor is not confirmed to be off, the log reports it, and the result is
+/// [`Fault::OffUnconfirmed`], unless one of these, or a lost link, is the result.
+/// [`DriveReport::disarmed`] shows whether the motor was confirmed to be off.
 #[must_use]
 pub fn fault_after(report: &DriveReport, is_hardware: bool) -> Option<Fault> {
     let fault = match report.outcome.ending {

@@ -128,8 +128,8 @@ impl CurrentWatch {
         self.unexplained_ticks >= UNEXPLAINED_TICKS
     }
 
-    /// Checks one sample; returns the fault if the motor is dead, has a bad contact, or more current
-    /// than its voltage explains.
+    /// Checks one sample; returns the fault if the motor is dead, has a bad contact, or more
+    /// current than its voltage explains.
     pub fn check(&mut self, sample: &Measurement) -> Option<Fault> {
         if self.draws_unexplained_current(sample) {
             return Some(Fault::CurrentUnexplained);
@@ -140,7 +140,8 @@ impl CurrentWatch {
             self.idle_a += current_a;
             self.idle_samples += 1;
         }
-        // A larger current at 0 V is no offset of the sensor, and must not hide the motor's current.
+        // A larger current at 0 V is no offset of the sensor, and must not hide the motor's
+        // current.
         let idle_a = (self.idle_a / f64::from(self.idle_samples.max(1)))
             .clamp(-CURRENT_OFFSET_A, CURRENT_OFFSET_A);
         let taken_a = (current_a - idle_a).abs();

@@ -63,8 +63,8 @@ impl DriveReport {
 /// `heat` is the motor's heat before the motion, and becomes its heat afterwards.
 ///
 /// # Errors
-/// The device could not be armed; nothing has moved then. A device that has not refused is disarmed,
-/// because only its answer may be lost.
+/// The device could not be armed; nothing has moved then. A device that has not refused is
+/// disarmed, because only its answer may be lost.
 pub fn drive(
     device: &mut dyn Device,
     clock: &dyn Clock,

@@ -16,8 +16,8 @@ const BRAKE_SHARES: [f64; 4] = [1.0, 0.25, 0.0, -1.0];
 /// braking. A jump is recognised one sample later than the guard acts on it.
 const JUMP_KNOWN_TICKS: u32 = 2;
 
-/// Returns whether the pendulum is nearer to upright than to hanging. Once it falls, it moves an arm
-/// whose motor is off.
+/// Returns whether the pendulum is nearer to upright than to hanging. Once it falls, it moves an
+/// arm whose motor is off.
 fn is_upright(state: &State) -> bool {
     Scalar::sin_cos(state.alpha).1 < 0.0
 }

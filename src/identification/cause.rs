@@ -79,8 +79,9 @@ impl fmt::Display for Cause {
 
 impl Cause {
     /// Finds the likely reason. `residual_rad` is the residual of the best fit to all recordings;
-    /// `explained` returns the residual, rad, of the best plausible fit to some recordings, infinite
-    /// if there is none, and `largest_rad` is the residual up to which a fit explains them.
+    /// `explained` returns the residual, rad, of the best plausible fit to some recordings,
+    /// infinite if there is none, and `largest_rad` is the residual up to which a fit explains
+    /// them.
     ///
     /// A sign is named only if its reversal explains the recordings: an operator who reverses a
     /// correct sign has a worse rig than before. If one recording alone has another sign, the

@@ -210,8 +210,8 @@ impl TrainSettings {
         if 2 * update < self.updates { 1.0 } else { self.worst_share }
     }
 
-    /// The number of pendulums of an update, at most [`LARGEST_NUM_ENVS`]: `num_envs`, divided by
-    /// the share of their trajectories that the networks learn from.
+    /// The number of pendulums of an update, at most 4096: `num_envs`, divided by the share of
+    /// their trajectories that the networks learn from.
     #[must_use]
     pub fn num_envs_at(&self, update: u32) -> u16 {
         let simulated = (f32::from(self.num_envs) / self.worst_share_at(update)).ceil() as u16;

@@ -185,7 +185,7 @@ impl Rig {
                 return Err(self.not_begun(error));
             }
         };
-        self.react_to(&report);
+        let fault = self.react_to(&report);
         if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
             let detail =
                 report.outcome.contradiction.map_or_else(String::new, |it| format!(" ({it})"));
@@ -195,10 +195,9 @@ impl Rig {
             );
             self.distrust_profile();
         }
-        let latched = self.last_fault.get();
         match recorder.finish(report.outcome.clone(), report.last_ticks) {
             Ok(path) => Ok(Recorded { path, outcome: report.outcome }),
-            Err(source) => Err(match latched {
+            Err(source) => Err(match fault {
                 Some(fault) => RigError::Unrecorded {
                     fault,
                     motor: self.motor.get(),

@@ -74,8 +74,8 @@ pub fn mean_of(returns: &[f64]) -> Option<f64> {
 /// Reads the recording of a rollout that has finished; returns it with its verdict.
 ///
 /// # Errors
-/// The file is missing or cannot be read, its rollout is [`Verdict::Unfinished`] after all, ticks are
-/// missing in it, or one of its bytes has changed.
+/// The file is missing or cannot be read, its rollout is [`Verdict::Unfinished`] after all, ticks
+/// are missing in it, or one of its bytes has changed.
 pub fn read_finished(disk: &dyn Disk, path: &Path) -> Result<(Recording, Verdict), RecordingError> {
     let recording = read_on(disk, path).map_err(|error| match error {
         RecordingError::Read { path, source } if is_absence(&source) => {

@@ -90,8 +90,8 @@ fn a_jump_of_the_pendulums_count_is_a_fault_also_where_the_box_brakes_because_of
 #[test]
 fn a_pendulum_that_freezes_in_a_swing_voids_the_rollout() {
     let Rollout { began_s, ended_s, .. } = rollout(None);
-    // With a narrow box, or with a guard that notices the freeze, the brake begins before the freeze
-    // is known.
+    // With a narrow box, or with a guard that notices the freeze, the brake begins before the
+    // freeze is known.
     let narrow = SafetyBox { theta: 0.6, ..SafetyBox::default() };
     let (mut rollouts, mut void, mut void_by_earlier_rules) = (0, 0, 0);
     let mut instant_s = began_s + 0.3;

@@ -43,9 +43,9 @@ impl TwoHumped {
 
     /// Correlation of two rollouts of a policy, chosen for trainings that differ as they do for the
     /// emulated Qube `lab`. Of 20 policies that were trained at one psi, 7 succeeded there, in four
-    /// or five of five rollouts each, and 37 of all 100 rollouts balanced (docs/results.md of revision
-    /// 7f251fcf, table 5.3, `opt-nominal`; today's table is of another search). Correlations from
-    /// 0.33 to 0.94 are compatible with these counts.
+    /// or five of five rollouts each, and 37 of all 100 rollouts balanced (docs/results.md of
+    /// revision 7f251fcf, table 5.3, `opt-nominal`; today's table is of another search).
+    /// Correlations from 0.33 to 0.94 are compatible with these counts.
     pub const OF_TRAININGS: f64 = 0.8;
 
     /// The same problem with trainings that differ.

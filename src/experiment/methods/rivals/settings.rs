@@ -23,7 +23,7 @@ pub struct RivalSettings {
     /// Factor on the covariance of the belief from which `npdr` proposes Qubes, 1 to 10.
     pub npdr_widening: f64,
     /// Weight of the divergence from a wide distribution in `lsdr`, beside the return as a fraction
-    /// of the largest possible one; 0 to 1.
+    /// of the largest possible one; 0.001 to 1.
     pub lsdr_weight: f64,
     /// Weight of the standard deviation in the upper confidence bound of `fpo`, 0 to 10.
     pub fpo_beta: f64,
@@ -96,7 +96,7 @@ impl RivalSettings {
             ("rivals.dropo_noise", self.dropo_noise, [0.1, 10.0]),
             ("rivals.epopt_worst_share", self.epopt_worst_share, [0.01, 1.0]),
             ("rivals.npdr_widening", self.npdr_widening, [1.0, 10.0]),
-            ("rivals.lsdr_weight", self.lsdr_weight, [0.0, 1.0]),
+            ("rivals.lsdr_weight", self.lsdr_weight, [0.001, 1.0]),
             ("rivals.fpo_beta", self.fpo_beta, [0.0, 10.0]),
             ("rivals.adr_temperature", self.adr_temperature, [0.01, 10.0]),
             ("rivals.so_cma_scale", self.so_cma_scale, [0.01, 1.0]),
