@@ -41,10 +41,10 @@ impl Default for RivalSettings {
         Self {
             simopt_divergence: 0.3,
             bayessim_components: 1,
-            dropo_noise: 2.0,
-            epopt_worst_share: 0.05,
-            npdr_widening: 1.0,
-            lsdr_weight: 0.005,
+            dropo_noise: 1.0,
+            epopt_worst_share: 0.6,
+            npdr_widening: 2.0,
+            lsdr_weight: 0.15,
             so_cma_scale: 0.3,
             ..Self::constants_of_earlier_versions()
         }
