@@ -88,7 +88,7 @@ pub enum RigError {
     #[error(
         "the rollout could not begin: {}. {}",
         cause_of_not_begun(*fault, source),
-        fault.motor_and_step(MotorState::Off)
+        fault.motor_and_step(motor_of_not_begun(*fault))
     )]
     NotBegun {
         /// Entry of the table of faults that corresponds to the cause.
@@ -230,6 +230,14 @@ fn lost_link_step(source: &DeviceError) -> &'static str {
         }
 
         _ => Fault::LinkGone.operator_step(),
+    }
+}
+
+/// The state of the motor after a rollout that could not begin and has moved nothing.
+fn motor_of_not_begun(fault: Fault) -> MotorState {
+    match fault {
+        Fault::StaysArmed => MotorState::Unconfirmed,
+        _ => MotorState::Off,
     }
 }
 
@@ -386,6 +394,14 @@ mod tests {
         let gone = RigError::ThreadGone(ThreadGone);
         assert_eq!(gone.fault(), Some(Fault::OffUnconfirmed));
         assert!(gone.to_string().contains("switch the Qube off before you reach in"), "{gone}");
+    }
+
+    #[test]
+    fn a_rollout_after_a_motor_that_stays_on_does_not_say_that_the_motor_is_off() {
+        let source = ControlError::Moved(crate::control::Moved::Unseen);
+        let told = RigError::NotBegun { fault: Fault::StaysArmed, source }.to_string();
+        assert!(!told.contains("The motor is off"), "{told}");
+        assert!(told.contains("may still have its last voltage. Switch the Qube off"), "{told}");
     }
 
     #[test]
