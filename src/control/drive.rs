@@ -246,11 +246,14 @@ mod tests {
     }
 
     /// A Qube that cannot be armed.
-    struct Unarmed(PlantDevice);
+    struct Unarmed {
+        plant: PlantDevice,
+        disarms: u32,
+    }
 
     impl Device for Unarmed {
         fn hello(&mut self) -> Result<Identity, DeviceError> {
-            self.0.hello()
+            self.plant.hello()
         }
 
         fn arm(&mut self) -> Result<(), DeviceError> {
@@ -258,15 +261,16 @@ mod tests {
         }
 
         fn sample(&mut self, deadline_ns: Nanoseconds) -> Result<Measurement, LinkFault> {
-            self.0.sample(deadline_ns)
+            self.plant.sample(deadline_ns)
         }
 
         fn act(&mut self, voltage_mv: i16, sampled_at_us: u64) -> Result<(), LinkFault> {
-            self.0.act(voltage_mv, sampled_at_us)
+            self.plant.act(voltage_mv, sampled_at_us)
         }
 
         fn disarm(&mut self) -> Result<(), DeviceError> {
-            self.0.disarm()
+            self.disarms += 1;
+            self.plant.disarm()
         }
     }
 
@@ -320,20 +324,15 @@ mod tests {
         assert_eq!(homed_while_watched(&file, panics), (None, 1));
         assert_eq!(openings_of(&file), 0, "the file is closed after a panic");
 
-        let device = PlantDevice::new(State::default());
-        let clock = SleepyClock { time: device.clock.clone(), file: file.clone() };
+        let plant = PlantDevice::new(State::default());
+        let clock = SleepyClock { time: plant.clock.clone(), file: file.clone() };
         let stop = AtomicBool::new(false);
+        let mut unarmed = Unarmed { plant, disarms: 0 };
         assert!(
-            drive(
-                &mut Unarmed(device),
-                &clock,
-                &mut homing(),
-                &mut MotorHeat::default(),
-                None,
-                &stop
-            )
-            .is_err()
+            drive(&mut unarmed, &clock, &mut homing(), &mut MotorHeat::default(), None, &stop)
+                .is_err()
         );
         assert_eq!(openings_of(&file), 0, "the file is closed if the device does not arm");
+        assert_eq!(unarmed.disarms, 1, "only the answer to the order may be lost");
     }
 }

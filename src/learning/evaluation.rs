@@ -1,6 +1,7 @@
 use super::actor::NetworkActor;
 use super::smoothness::SmoothnessFactor;
 use super::state::TrainingState;
+use super::worst::count_of_worst;
 use crate::policy::Network;
 use crate::simulation::{
     DomainDistribution, Evaluation, Observations, SimulationSettings, evaluate, evaluate_with,
@@ -76,9 +77,9 @@ impl TrainingState<'_> {
     }
 }
 
-/// The mean of the lowest returns: of the share `share` of them, rounded up.
+/// The mean of the lowest returns: of this share of them ([`count_of_worst`]).
 fn mean_of_worst(mut returns: Vec<f64>, share: f32) -> f64 {
-    let kept = ((f64::from(share) * returns.len() as f64).ceil() as usize).clamp(1, returns.len());
+    let kept = count_of_worst(returns.len(), share);
     if kept < returns.len() {
         returns.sort_by(f64::total_cmp);
     }

@@ -27,7 +27,7 @@ pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
     trajectories.retain(|(_, first, own)| own.left_box || own.last + 1 - first == longest);
     // Ties stay in order, so that the same batch gives the same transitions.
     trajectories.sort_by(|one, other| one.0.total_cmp(&other.0));
-    let kept = ((share * trajectories.len() as f32).ceil() as usize).clamp(1, trajectories.len());
+    let kept = count_of_worst(trajectories.len(), share);
     trajectories.truncate(kept);
     let (mut transitions, mut extra_inputs) = (Vec::<Transition>::new(), Vec::<ExtraInputs>::new());
     let mut ends = Vec::with_capacity(kept);
@@ -37,6 +37,11 @@ pub(super) fn worst_of(batch: &Batch, share: f32) -> Batch {
         ends.push(TrajectoryEnd { last: transitions.len() - 1, ..own });
     }
     Batch { transitions, extra_inputs, ends }
+}
+
+/// The number of the worst of `count` trajectories, at least one: this share of them, rounded up.
+pub(super) fn count_of_worst(count: usize, share: f32) -> usize {
+    ((share * count as f32).ceil() as usize).clamp(1, count)
 }
 
 #[cfg(test)]

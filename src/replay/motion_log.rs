@@ -257,6 +257,7 @@ mod tests {
         let mut end_lost = recording(Ending::Completed, 0);
         end_lost.ticks.truncate(19);
         assert_eq!(Incomplete::of(&end_lost), Some(Incomplete::LostTicks));
+        assert_eq!(end_lost.loss().unwrap(), "ends after 14 of the 15 steps of its policy");
         for (ending, words) in [
             (Ending::LeftBox(Limit::Theta), "left the box"),
             (Ending::Stopped, "was stopped"),

@@ -397,6 +397,20 @@ mod tests {
     }
 
     #[test]
+    fn a_fault_comes_before_the_full_disk_that_hides_its_recording() {
+        let error = RigError::Unrecorded {
+            fault: Fault::Amplifier,
+            motor: MotorState::Off,
+            doubt: None,
+            source: RecordingError::DiskFull { path: "rollout-0.mcap".into() },
+        };
+        assert_eq!(error.fault(), Some(Fault::Amplifier));
+        let told = error.to_string();
+        assert!(told.starts_with("the amplifier reports a fault"), "{told}");
+        assert!(told.contains("disk is full"), "{told}");
+    }
+
+    #[test]
     fn a_rollout_after_a_motor_that_stays_on_does_not_say_that_the_motor_is_off() {
         let source = ControlError::Moved(crate::control::Moved::Unseen);
         let told = RigError::NotBegun { fault: Fault::StaysArmed, source }.to_string();

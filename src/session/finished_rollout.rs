@@ -104,3 +104,34 @@ fn are_different(one: &[u8], other: &[u8]) -> bool {
         _ => false,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::{Completeness, samples};
+
+    #[test]
+    fn a_recording_of_another_session_is_refused() {
+        let header = samples::header();
+        let own = SessionSettings {
+            name: header.session.clone(),
+            seed: header.seed,
+            ..SessionSettings::quick()
+        };
+        let recording = Recording {
+            header,
+            policy: samples::POLICY.to_vec(),
+            ticks: Vec::new(),
+            outcome: None,
+            completeness: Completeness::Whole,
+        };
+        let path = Path::new("rollout-0-attempt-0.mcap");
+        check_session(&recording, path, &own).unwrap();
+        let of_other_name = SessionSettings { name: "other".into(), ..own.clone() };
+        let of_other_seed = SessionSettings { seed: 7, ..own };
+        for other in [of_other_name, of_other_seed] {
+            let refused = check_session(&recording, path, &other).unwrap_err().to_string();
+            assert!(refused.contains("which does not count here"), "{refused}");
+        }
+    }
+}

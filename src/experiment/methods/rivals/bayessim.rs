@@ -51,8 +51,7 @@ impl Rival for BayesSim {
         let extent = Fit { components: self.components, passes: PASSES };
         let network = MixtureDensity::fit(&inputs, &targets, &weights, extent, given.seed);
         let posterior = network.given(&features(&real, shortest));
-        let mut draw = || posterior.draw(&mut random);
-        let points = (0..POINTS).map(|_| given.space.drawn_within(&mut draw)).collect();
+        let points = given.space.draws_within(POINTS, || posterior.draw(&mut random));
         Ok(RivalBelief::Points(points))
     }
 }

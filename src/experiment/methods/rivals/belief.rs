@@ -65,10 +65,7 @@ impl RivalBelief {
     pub fn draws(&self, space: &Space, count: usize, random: &mut ChaCha8Rng) -> Vec<DVector<f64>> {
         match self {
             Self::Unknown => space.draws(count, random),
-            Self::Gaussian(gaussian) => {
-                let mut draw = gaussian.drawing(random);
-                (0..count).map(|_| space.drawn_within(&mut draw)).collect()
-            }
+            Self::Gaussian(gaussian) => space.draws_within(count, gaussian.drawing(random)),
             Self::Points(points) => {
                 let evenly = |number: usize| &points[number * points.len() / count];
                 let count = if points.is_empty() { 0 } else { count };

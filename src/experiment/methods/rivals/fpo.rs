@@ -81,9 +81,9 @@ impl Rival for FingerprintOptimisation {
             for (direction, by) in directions.iter().zip(&psi[1..]) {
                 shift += *by * direction;
             }
-            let mut draw = || psi[0].exp() * standard_normal(dimensions, &mut random) + &shift;
-            let points: Vec<DVector<f64>> =
-                (0..POINTS).map(|_| given.space.drawn_within(&mut draw)).collect();
+            let points = given.space.draws_within(POINTS, || {
+                psi[0].exp() * standard_normal(dimensions, &mut random) + &shift
+            });
             let Some(distribution) = distribution_of(given.space, &points) else { break };
             let trained = training.train_stage(distribution, given.stop)?;
             let network = &trained.network;

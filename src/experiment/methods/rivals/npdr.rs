@@ -73,8 +73,7 @@ impl Rival for Npdr {
         let extent = Fit { components: COMPONENTS, passes: PASSES };
         let network = MixtureDensity::fit(&inputs, &targets, &weights, extent, given.seed);
         let posterior = network.given(&DVector::from_vec(real));
-        let mut draw = || posterior.draw(&mut random);
-        let points = (0..POINTS).map(|_| given.space.drawn_within(&mut draw)).collect();
+        let points = given.space.draws_within(POINTS, || posterior.draw(&mut random));
         Ok(RivalBelief::Points(points))
     }
 }

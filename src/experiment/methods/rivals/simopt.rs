@@ -31,8 +31,7 @@ impl Rival for SimOpt {
             return Ok(given.before.clone());
         }
         for _ in 0..STEPS {
-            let points =
-                RivalBelief::Gaussian(gaussian.clone()).draws(given.space, SAMPLES, &mut random);
+            let points = given.space.draws_within(SAMPLES, gaussian.drawing(&mut random));
             let models: Vec<_> = points.iter().map(|point| given.space.model(point)).collect();
             let mut costs = vec![0.0; points.len()];
             for demonstration in demonstrations {

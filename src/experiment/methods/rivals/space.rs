@@ -95,6 +95,15 @@ impl Space {
         self.clamped(&point)
     }
 
+    /// Points that `draw` draws and whose Qubes can be simulated, as [`Self::drawn_within`].
+    pub fn draws_within(
+        &self,
+        count: usize,
+        mut draw: impl FnMut() -> DVector<f64>,
+    ) -> Vec<DVector<f64>> {
+        (0..count).map(|_| self.drawn_within(&mut draw)).collect()
+    }
+
     /// The Qube at a point, or at the nearest point that can be simulated.
     pub fn model(&self, point: &DVector<f64>) -> QubeModel {
         let mut model = self.nominal;
