@@ -45,8 +45,8 @@ const NINETY_PERCENT: f64 = 1.645;
 
 /// Draws a Qube. Parameters and the cable's rest angle are drawn from the prior of the
 /// identification, except that the motor's constants have a third of the prior's width, and the
-/// dampings half of it and at most one standard deviation. Strengths of nonidealities and the delay
-/// (2 to 14 ms) are uniform over fixed ranges.
+/// dampings' logarithms are at most two of its standard deviations from its mean. Strengths of
+/// nonidealities and the delay (2 to 14 ms) are uniform over fixed ranges.
 fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
     let mut model = QubeModel::NOMINAL;
     for unknown in Unknown::all() {
@@ -58,7 +58,7 @@ fn drawn(rng: &mut ChaCha8Rng) -> QubeModel {
             ) => prior.mean + normal * prior.std / 3.0,
             Quantity::Parameter(
                 DomainParameter::RotaryDamping | DomainParameter::PendulumDamping,
-            ) => prior.mean + (0.5 * normal).clamp(-1.0, 1.0) * prior.std,
+            ) => prior.mean + normal.clamp(-2.0, 2.0) * prior.std,
             Quantity::Parameter(_) => prior.mean + normal * prior.std,
             Quantity::Nonideality(Nonideality::CommandDelay) => {
                 // The plant applies commands at multiples of its integration step.
@@ -221,18 +221,39 @@ fn percent([all, within]: [u32; 2]) -> String {
     format!("{:.1} %", 100.0 * f64::from(within) / f64::from(all))
 }
 
-/// Returns for each estimate whether its 90 % interval contains the truth.
-fn coverage(found: &Identified, truth: &QubeModel) -> Vec<(Unknown, bool)> {
-    let one = |estimate: &Estimate| {
-        let expected = truth.get(estimate.unknown.0);
-        let off = if estimate.unknown.is_parameter() {
-            (estimate.value / expected).ln() * estimate.value / estimate.standard_error
-        } else {
-            (estimate.value - expected) / estimate.standard_error
-        };
-        (estimate.unknown, off.abs() <= NINETY_PERCENT)
+/// The error of an estimate of a plant's quantity.
+struct Miss {
+    /// Whether the plant follows the equations.
+    inside: bool,
+    unknown: Unknown,
+    /// The error in standard errors.
+    standardised: f64,
+}
+
+/// The errors of a fit's estimates.
+fn misses(found: &Identified, truth: &QubeModel, inside: bool) -> Vec<Miss> {
+    let one = |&Estimate { unknown, value, standard_error, .. }: &Estimate| {
+        let standardised = (value - truth.get(unknown.0)) / standard_error;
+        Miss { inside, unknown, standardised }
     };
     found.estimates.iter().map(one).collect()
+}
+
+/// Prints the number of 90 % intervals that contain the truth, of all intervals, and the root mean
+/// square of the errors in standard errors, for plants inside and outside the model class.
+fn print_coverage(name: &str, misses: &[&Miss]) {
+    let part = |inside: bool| {
+        let squares: Vec<f64> = misses
+            .iter()
+            .filter(|miss| miss.inside == inside)
+            .map(|miss| miss.standardised.powi(2))
+            .collect();
+        let covered = squares.iter().filter(|square| square.sqrt() <= NINETY_PERCENT).count();
+        let count = squares.len();
+        let root_mean_square = (squares.iter().sum::<f64>() / count as f64).sqrt();
+        format!("{covered:>4} of {count:<4} {root_mean_square:>6.2}")
+    };
+    println!("{name:24} {}    {}", part(true), part(false));
 }
 
 fn main() {
@@ -249,7 +270,7 @@ fn main() {
         motions = vec![Motion::named("chirp:1.5"); 2];
     }
     let mut rows: BTreeMap<&str, Row> = BTreeMap::new();
-    let mut intervals: Vec<(Unknown, bool)> = Vec::new();
+    let mut all: Vec<Miss> = Vec::new();
     for seed in first_seed..first_seed + plants {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let truth = drawn(&mut rng);
@@ -264,8 +285,8 @@ fn main() {
             };
             let words = describe(&found);
             println!("{seed} {:12} held-out {widening:.2} {words}", beyond.name());
-            if let (NOTHING, Ok(found)) = (beyond.name(), &found) {
-                intervals.extend(coverage(found, &truth));
+            if let Ok(found) = &found {
+                all.extend(misses(found, &truth, beyond.name() == NOTHING));
             }
         }
     }
@@ -281,12 +302,11 @@ fn main() {
     let [plants, doubted] = [sum(|row| row.plants), sum(|row| row.doubted)];
     let [held_out, sign] = [sum(|row| row.doubted_by_held_out), sum(|row| row.naming_a_sign)];
     println!("{:12} {plants:>7} {doubted:>8} {held_out:>8} {sign:>8} {within:>12}", "outside");
-    println!("\n{:24} 90 % intervals that contain the truth", "quantity");
+    println!("\n90 % intervals that contain the truth, and the errors in standard errors (RMS),");
+    println!("{:24} inside the equations  outside", "quantity");
     for unknown in Unknown::all() {
-        let own = || intervals.iter().filter(|(other, _)| *other == unknown);
-        let covered = own().filter(|(_, covers)| *covers).count();
-        println!("{:24} {covered} of {}", unknown.name(), own().count());
+        let own: Vec<&Miss> = all.iter().filter(|miss| miss.unknown == unknown).collect();
+        print_coverage(unknown.name(), &own);
     }
-    let covered = intervals.iter().filter(|(_, covers)| *covers).count();
-    println!("{:24} {covered} of {}", "all", intervals.len());
+    print_coverage("all", &all.iter().collect::<Vec<_>>());
 }

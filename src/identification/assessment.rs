@@ -1,6 +1,8 @@
 use std::fmt;
 
-use super::effects::{Effect, scores};
+use nalgebra::DVector;
+
+use super::effects::{Effect, Trial, trials};
 use super::fit::Fit;
 use super::residuals::{Noise, Residual, noise_from_residuals, scale_of};
 use super::stretch::{Regime, Stretch};
@@ -179,8 +181,12 @@ pub struct Assessment {
 
 /// Tests the residuals of a fit over its own windows and, with start states fitted anew, over the
 /// windows `short` of half a second, or of a quarter where the pendulum is upright. Also returns
-/// scale and correlation of the residuals over these short windows.
-pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> (Assessment, [Noise; 3]) {
+/// scale and correlation of the residuals over these short windows, and, if the tests doubt the
+/// model, the [`Trial::shift`] of the effect that explains the residuals best.
+pub(super) fn assess(
+    fit: &Fit<'_>,
+    short: Vec<Stretch<'_>>,
+) -> (Assessment, [Noise; 3], Option<DVector<f64>>) {
     let mut check = fit.with_unknowns(&[], short);
     check.noise = [Noise::of_resolution(fit.plant.encoders); 3];
     check.minimise();
@@ -204,7 +210,13 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> (Assessment, [No
     }
     let noise = noise_from_residuals(&check.stretches, &residuals, encoders);
     let check = Fit { unknowns: fit.unknowns, ..check };
-    missing_effects.extend(named(&check, 2.0 * samples, noise_ratio));
+    let best = trials(&check)
+        .into_iter()
+        .filter(|trial| trial.score > SIGNIFICANT)
+        .max_by(|a, b| a.score.total_cmp(&b.score));
+    missing_effects
+        .extend(best.as_ref().and_then(|trial| named(trial, 2.0 * samples, noise_ratio)));
+    let shift = best.filter(|_| !missing_effects.is_empty()).map(|trial| trial.shift);
     let verdict = if !scale.is_within(UNFIT_RAD) {
         ModelVerdict::DoesNotFit
     } else if missing_effects.is_empty() {
@@ -212,7 +224,7 @@ pub(super) fn assess(fit: &Fit<'_>, short: Vec<Stretch<'_>>) -> (Assessment, [No
     } else {
         ModelVerdict::FitsBut
     };
-    (Assessment { verdict, missing_effects, noise_ratio, whiteness, growth }, noise)
+    (Assessment { verdict, missing_effects, noise_ratio, whiteness, growth }, noise, shift)
 }
 
 impl Assessment {
@@ -306,14 +318,11 @@ fn correlation(fit: &Fit<'_>, residuals: &[Vec<Residual>], angle: usize) -> f64 
     if pairs > 0.0 && squares > 0.0 { products / squares } else { 0.0 }
 }
 
-/// The effect outside the equations that explains the residuals best, when it is significant and
-/// explains a good part of the residuals beyond the encoders' rounding. `residuals` is the number
-/// of residuals of `check`, two for each sample.
-fn named(check: &Fit<'_>, residuals: f64, noise_ratio: f64) -> Option<MissingEffect> {
-    let scores = scores(check);
-    let (effect, score) = scores.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+/// The name of a significant effect if it explains a good part of the residuals beyond the
+/// encoders' rounding. `residuals` is the number of residuals, two for each sample.
+fn named(trial: &Trial, residuals: f64, noise_ratio: f64) -> Option<MissingEffect> {
     let excess = residuals * (1.0 - noise_ratio.max(1.0).powi(-2));
-    (score > SIGNIFICANT && score > NAMED_SHARE * excess).then_some(match effect {
+    (trial.score > NAMED_SHARE * excess).then_some(match trial.effect {
         Effect::Reversals => MissingEffect::Reversals,
         Effect::Warming => MissingEffect::Warming,
         Effect::EncoderEccentricity => MissingEffect::Angle,

@@ -201,7 +201,7 @@ fn changing(motions: &[&MotionLog], reference: &QubeModel) -> [Estimate; 2] {
     let mut fit = Fit::new(&CHANGING, &motions[0].plant, *reference, stretches.collect());
     fit.run();
     let found =
-        Evidence::of(&fit, fit.noise).uncertainty(&CHANGING, fit.plant, &fit.model).estimates;
+        Evidence::of(&fit, fit.noise, None).uncertainty(&CHANGING, fit.plant, &fit.model).estimates;
     [found[0], found[1]]
 }
 

@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use super::fit::Fit;
 use super::sensitivity::{STARTS, linearised};
 use super::stretch::Stretch;
+use super::uncertainty::prior_stds;
 use crate::qube::{QubeModel, State};
 use crate::replay::MotionSample;
 
@@ -134,11 +135,21 @@ fn built_up(samples: &[MotionSample], angle_rad: f64) -> Vec<f64> {
     samples.iter().map(&mut one).collect()
 }
 
-/// The reduction of the sum of squared residuals by each effect when the effect joins the model, in
-/// units of the residual variance; unknowns and start states adapt to the effect. `fit` is the fit
-/// over short windows, with start states fitted anew. Where the model holds, the reduction has a
-/// chi-squared distribution with as many degrees of freedom as the effect has columns.
-pub(super) fn scores(fit: &Fit<'_>) -> Vec<(Effect, f64)> {
+/// The result of adding an effect to the model; unknowns and start states adapt to it.
+pub(super) struct Trial {
+    /// Effect that is added.
+    pub effect: Effect,
+    /// The reduction of the sum of squared residuals, in units of the residual variance. Where the
+    /// model holds, it has a chi-squared distribution with as many degrees of freedom as the effect
+    /// has columns.
+    pub score: f64,
+    /// The change of each unknown, in prior standard deviations.
+    pub shift: DVector<f64>,
+}
+
+/// Adds each effect by itself to the model of a fit over short windows whose start states were
+/// fitted anew.
+pub(super) fn trials(fit: &Fit<'_>) -> Vec<Trial> {
     let size = columns(fit);
     let mut squares = DMatrix::<f64>::zeros(size, size);
     let simulated = simulated(fit);
@@ -156,7 +167,7 @@ pub(super) fn scores(fit: &Fit<'_>) -> Vec<(Effect, f64)> {
         squares += all.tr_mul(&all);
         count += (all.nrows() - STARTS.min(all.nrows())) as f64;
     }
-    reductions(fit, &squares, count)
+    regressions(fit, &squares, count)
 }
 
 /// Number of columns of a fit: its unknowns, the effects in the order of [`Effect::ALL`], and the
@@ -261,34 +272,40 @@ impl Disturbed {
     }
 }
 
-/// The reduction by each effect. `squares` contains the products with each other of all columns:
-/// the columns of the unknowns, of the effects, and of the residuals. `count` is the number of
-/// residuals minus the number of entries of the start states.
-fn reductions(fit: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<(Effect, f64)> {
+/// The regression of the residuals on the unknowns with each effect. `squares` contains the products
+/// with each other of all columns: the columns of the unknowns, of the effects, and of the
+/// residuals. `count` is the number of residuals minus the number of entries of the start states.
+fn regressions(fit: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<Trial> {
     let unknowns = fit.unknowns.len();
     let size = squares.nrows();
     let variance = squares[(size - 1, size - 1)] / count.max(1.0);
-    let mut first = unknowns;
-    let mut places = Vec::new();
-    for effect in Effect::ALL {
-        places.push((effect, first));
-        first += effect.columns();
-    }
-    let score = |(effect, first): (Effect, usize)| {
-        let own: Vec<usize> = (0..unknowns).chain(first..first + effect.columns()).collect();
-        let reduction = |kept: &[usize]| {
-            let mut matrix = DMatrix::from_fn(kept.len(), kept.len(), |row, column| {
-                squares[(kept[row], kept[column])]
-            });
-            // The prior of each unknown counts like one more residual.
-            for (index, unknown) in fit.unknowns.iter().enumerate() {
-                matrix[(index, index)] += variance / unknown.prior(fit.plant).std.powi(2);
-            }
-            let right = DVector::from_fn(kept.len(), |row, _| squares[(kept[row], size - 1)]);
-            matrix.cholesky().map_or(0.0, |matrix| right.dot(&matrix.solve(&right)))
-        };
-        let gained = reduction(&own) - reduction(&own[..unknowns]);
-        (effect, if variance > 0.0 { gained / variance } else { 0.0 })
+    let stds = prior_stds(fit.unknowns, fit.plant);
+    // The change of the model's numbers, and the squares that it removes.
+    let regression = |kept: &[usize]| {
+        let mut matrix = DMatrix::from_fn(kept.len(), kept.len(), |row, column| {
+            squares[(kept[row], kept[column])]
+        });
+        // The prior of each unknown counts like one more residual.
+        for (index, std) in stds.iter().enumerate() {
+            matrix[(index, index)] += variance / std.powi(2);
+        }
+        let right = DVector::from_fn(kept.len(), |row, _| squares[(kept[row], size - 1)]);
+        let change = matrix
+            .cholesky()
+            .map_or_else(|| DVector::zeros(kept.len()), |matrix| matrix.solve(&right));
+        (right.dot(&change), change)
     };
-    places.into_iter().map(score).collect()
+    let own: Vec<usize> = (0..unknowns).collect();
+    let (without, alone) = regression(&own);
+    let mut first = unknowns;
+    let trial = |effect: Effect| {
+        let columns = first..first + effect.columns();
+        first = columns.end;
+        let kept: Vec<usize> = (0..unknowns).chain(columns).collect();
+        let (with, joint) = regression(&kept);
+        let score = if variance > 0.0 { (with - without) / variance } else { 0.0 };
+        let shift = (joint.rows(0, unknowns) - &alone).component_div(&stds);
+        Trial { effect, score, shift }
+    };
+    Effect::ALL.into_iter().map(trial).collect()
 }

@@ -6,7 +6,7 @@ use super::cause::Cause;
 use super::fit::Fit;
 use super::fitness::{Unfit, check_recording};
 use super::offsets::{Offset, Scatter};
-use super::residuals::{Noise, ResidualScale, scale_of};
+use super::residuals::{ResidualScale, scale_of};
 use super::stretch::{Regime, Stretch, is_upright};
 use super::uncertainty::{Estimate, Evidence, Uncertainty, UndeterminedCombination};
 use crate::qube::{Nonideality, PlantModel, PlantName, QubeModel, State};
@@ -177,10 +177,8 @@ impl IdentifyError {
 }
 
 impl Identified {
-    /// The result of a finished fit; `short_noise` is the noise of its residuals over short
-    /// windows.
-    fn of(fit: Fit<'_>, assessment: Assessment, short_noise: [Noise; 3]) -> Self {
-        let evidence = Evidence::of(&fit, short_noise);
+    /// The result of a finished fit.
+    fn of(fit: Fit<'_>, assessment: Assessment, evidence: Evidence) -> Self {
         let Uncertainty { estimates, undetermined, correlations, inflation } =
             evidence.uncertainty(fit.unknowns, fit.plant, &fit.model);
         Self {
@@ -263,8 +261,9 @@ pub fn identify(
         unknown.start(&mut first_guess, plant);
     }
     let fit = fitted(logs, unknowns, plant, &first_guess)?;
-    let (assessment, short_noise) = assess(&fit, windows(logs, STAGES_S[0]));
-    Ok(Identified::of(fit, assessment, short_noise))
+    let (assessment, short_noise, shift) = assess(&fit, windows(logs, STAGES_S[0]));
+    let evidence = Evidence::of(&fit, short_noise, shift);
+    Ok(Identified::of(fit, assessment, evidence))
 }
 
 /// Checks the recordings and the quantities to fit; returns the plant of the recordings.
@@ -331,6 +330,7 @@ fn fitted<'a>(
         }
     }
     fit.finish();
+    fit.average_over_dampings();
     if let Some((name, value, likely)) = implausible(unknowns, plant, &fit.model) {
         return Err(IdentifyError::Implausible { name, value, likely, cause: cause() });
     }

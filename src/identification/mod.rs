@@ -49,6 +49,7 @@
 mod assessment;
 mod cause;
 mod change;
+mod dampings;
 #[cfg(test)]
 mod delay_tests;
 mod drift;

@@ -1,6 +1,7 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::Unknown;
+use super::dampings::prior_precisions;
 use super::fit::Fit;
 use super::offsets::Offset;
 use super::residuals::Noise;
@@ -66,8 +67,10 @@ pub(super) struct Uncertainty {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Evidence {
     /// Information matrix of the unknowns from the data alone, in units of prior standard
-    /// deviations. The prior's own matrix, which in these units is the identity, is not included.
+    /// deviations.
     information: DMatrix<f64>,
+    /// Gradient of the data's cost by the unknowns, in the same units.
+    gradient: DVector<f64>,
     /// Factor on the standard errors, at least 1, that the information includes.
     inflation: f64,
     /// Scale and correlation of the residuals of each regime over windows of half a second, or of a
@@ -75,29 +78,45 @@ pub(super) struct Evidence {
     pub short_noise: [Noise; 3],
     /// Scatter of the cable's rest angle between recordings, in prior standard deviations.
     rest_scatter: f64,
+    /// Change of the unknowns by the effect that the model seems to lack, in prior standard
+    /// deviations; 0 if the model holds.
+    shift: DVector<f64>,
 }
 
 impl Evidence {
     /// The evidence of the recordings of a fit, over whose short windows the residuals have this
-    /// noise.
+    /// noise. `shift` is the change of the unknowns, in prior standard deviations, by the effect
+    /// that the model seems to lack: an error of this size is added to the standard errors.
     ///
     /// Because a model's errors persist in time, the information matrix counts all samples within
     /// the integrated autocorrelation time of the residuals as one sample. [`inflation`] measures
     /// the error that a wrong model adds.
-    pub fn of(fit: &Fit<'_>, short_noise: [Noise; 3]) -> Self {
-        let reduced = fit.reduced();
-        let inflation = inflation(fit, &reduced);
-        let (information, _) =
-            total(fit.unknowns, fit.plant, &by_recording(fit, &reduced, inflation));
+    pub fn of(fit: &Fit<'_>, short_noise: [Noise; 3], shift: Option<DVector<f64>>) -> Self {
+        let (information, gradient, inflation) = weighed(fit);
         let rest = Unknown::from(Nonideality::CableRest);
         let rest_scatter = fit.own_scatter().cable_rest_rad / rest.prior(fit.plant).std;
-        Self { information, inflation, short_noise, rest_scatter }
+        let shift = shift.unwrap_or_else(|| DVector::zeros(fit.unknowns.len()));
+        Self { information, gradient, inflation, short_noise, rest_scatter, shift }
     }
 
     /// The evidence with standard errors that are larger by a factor, as far as the prior allows.
     pub fn widened(self, factor: f64) -> Self {
         let information = self.information / (factor * factor);
-        Self { information, inflation: self.inflation * factor, ..self }
+        let gradient = self.gradient / (factor * factor);
+        Self { information, gradient, inflation: self.inflation * factor, ..self }
+    }
+
+    /// The covariance of the unknowns at `model`, in units of prior standard deviations. `None` if
+    /// the information is not finite.
+    fn covariance(
+        &self,
+        unknowns: &[Unknown],
+        plant: &PlantModel,
+        model: &QubeModel,
+    ) -> Option<DMatrix<f64>> {
+        let priors = prior_precisions(unknowns, plant, model, &self.information, &self.gradient);
+        let covariance = (DMatrix::from_diagonal(&priors) + &self.information).try_inverse()?;
+        Some(covariance + &self.shift * self.shift.transpose())
     }
 
     /// Computes the factor, at least 1, by which recordings outside of the fit contradict it more
@@ -117,8 +136,8 @@ impl Evidence {
             eigenvalues.filter(|(_, value)| **value > 1.0).map(|(column, _)| column).collect();
         let directions = eigen.eigenvectors.select_columns(&determined);
         let own = DMatrix::from_diagonal(&eigen.eigenvalues.select_rows(&determined));
-        let prior = DMatrix::identity(self.information.nrows(), self.information.ncols());
-        let Some(mut covariance) = (prior + &self.information).try_inverse() else { return 1.0 };
+        let Fit { unknowns, plant, model, .. } = held_out;
+        let Some(mut covariance) = self.covariance(unknowns, plant, model) else { return 1.0 };
         // The cable's rest angle changes with each homing, so the variance of its prior is added.
         let rest = Unknown::from(Nonideality::CableRest);
         if let Some(place) = held_out.unknowns.iter().position(|unknown| *unknown == rest) {
@@ -144,11 +163,10 @@ impl Evidence {
     ) -> Uncertainty {
         let count = unknowns.len();
         let eigen = SymmetricEigen::new(self.information.clone());
-        let covariance = |one: usize, other: usize| -> f64 {
-            let parts = eigen.eigenvectors.row(one).component_mul(&eigen.eigenvectors.row(other));
-            let eigenvalues = eigen.eigenvalues.iter();
-            parts.iter().zip(eigenvalues).map(|(part, value)| part / (1.0 + value.max(0.0))).sum()
-        };
+        let covariance = self
+            .covariance(unknowns, plant, model)
+            .unwrap_or_else(|| DMatrix::identity(count, count));
+        let covariance = |one: usize, other: usize| covariance[(one, other)];
         let variance = |index: usize| covariance(index, index);
         // The rest angle of a next recording is the typical rest angle plus an offset.
         let rest = Unknown::from(Nonideality::CableRest);
@@ -194,6 +212,16 @@ impl Evidence {
     }
 }
 
+/// Information matrix and gradient of a fit's recordings, in units of prior standard deviations,
+/// and the factor on the standard errors that they include ([`inflation`]).
+pub(super) fn weighed(fit: &Fit<'_>) -> (DMatrix<f64>, DVector<f64>, f64) {
+    let reduced = fit.reduced();
+    let inflation = inflation(fit, &reduced);
+    let (information, gradient) =
+        total(fit.unknowns, fit.plant, &by_recording(fit, &reduced, inflation));
+    (information, gradient, inflation)
+}
+
 /// The sum of information and gradient of several recordings, in units of prior standard
 /// deviations.
 fn total(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> Reduced {
@@ -210,7 +238,7 @@ fn total(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> Reduce
     (scaled, gradient.component_mul(&stds))
 }
 
-fn prior_stds(unknowns: &[Unknown], plant: &PlantModel) -> DVector<f64> {
+pub(super) fn prior_stds(unknowns: &[Unknown], plant: &PlantModel) -> DVector<f64> {
     DVector::from_iterator(unknowns.len(), unknowns.iter().map(|it| it.prior(plant).std))
 }
 
