@@ -161,18 +161,13 @@ mod tests {
         identify(logs, &unknowns, &QubeModel::NOMINAL).unwrap()
     }
 
-    /// Half the logarithm of the determinant of the estimates' covariance, in units of the values
-    /// or of one SI unit: their entropy up to a constant.
+    /// Half the logarithm of the determinant of the estimates' covariance, in SI units: their
+    /// entropy up to a constant.
     fn entropy_nats(found: &Identified) -> f64 {
-        let error = |index: usize| {
-            let estimate = &found.estimates[index];
-            estimate.standard_error
-                / if estimate.unknown.is_parameter() { estimate.value } else { 1.0 }
-        };
         let count = found.estimates.len();
         let correlation = |row: usize, column: usize| found.correlations[row][column];
         let covariance = DMatrix::from_fn(count, count, correlation);
-        let errors: f64 = (0..count).map(|index| error(index).ln()).sum();
+        let errors: f64 = found.estimates.iter().map(|it| it.standard_error.ln()).sum();
         errors + 0.5 * covariance.symmetric_eigenvalues().iter().map(|it| it.ln()).sum::<f64>()
     }
 
