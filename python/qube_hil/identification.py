@@ -17,6 +17,8 @@ class Estimate:
     """Value in its SI unit."""
     standard_error: float
     """Standard error in the same unit."""
+    model_error: float
+    """Change of the value by the effect that the model seems to lack, which the standard error includes."""
     told_by_data: float
     """Share of the prior variance that the data removed; near 0, the value is the prior's."""
 
@@ -68,7 +70,7 @@ def identify(
     name: str = "identified",
     fixed: str | Iterable[str] = (),
 ) -> Identified:
-    """Fits a Qube to recordings: finds the maximum of the posterior, whose priors are weak.
+    """Fits a Qube to recordings: finds the most likely one by weak priors, with the mean of each damping.
 
     Args:
         recordings: Files, each named once, of the same plant: MCAP, or CSV with the columns of

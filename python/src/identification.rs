@@ -73,6 +73,7 @@ fn fitted(paths: &[PathBuf], name: &str, unknowns: &[Unknown]) -> Result<String,
             "name": estimate.unknown.name(),
             "value": estimate.value,
             "standard_error": estimate.standard_error,
+            "model_error": estimate.model_error,
             "told_by_data": estimate.variance_removed,
         })
     });

@@ -50,9 +50,9 @@ const PLAUSIBLE_LOG: f64 = 0.5;
 /// as hard to predict as an upright one.
 const WORSENED_FACTOR: f64 = 3.0;
 
-/// Residual over the windows of the first stage up to which no stage has ended in a wrong model,
-/// rad. The real Qube's chirps leave 0.01 rad.
-const NOT_WORSENED_RAD: f64 = 0.03;
+/// Smallest residual over the windows of the first stage that [`WORSENED_FACTOR`] multiplies, rad:
+/// about the resolution of a Qube's encoders. The real Qube's chirps leave 0.006 rad.
+const NOT_WORSENED_RAD: f64 = 1e-3;
 
 /// The result of an identification.
 #[derive(Clone, Debug, PartialEq)]
@@ -303,8 +303,8 @@ fn fitted<'a>(
     first_guess: &QubeModel,
 ) -> Result<Fit<'a>, IdentifyError> {
     let [_, further_s @ ..] = STAGES_S;
-    let mut fit = first_stage(logs, unknowns, plant, first_guess);
-    let scale = scale_of(&fit.residuals_rad());
+    let first = first_stage(logs, unknowns, plant, first_guess);
+    let scale = scale_of(&first.residuals_rad());
     let ResidualScale { theta_rad, alpha_rad } = scale;
     let cause = || {
         let residual_rad = theta_rad.max(alpha_rad);
@@ -315,22 +315,25 @@ fn fitted<'a>(
     if !scale.is_within(LARGEST_RESIDUAL_RAD) {
         return Err(IdentifyError::Unexplained { theta_rad, alpha_rad, cause: cause() });
     }
-    if fit.stretches.iter().any(|stretch| stretch.regime == Regime::Hanging) {
-        let largest_rad = (WORSENED_FACTOR * theta_rad.max(alpha_rad)).max(NOT_WORSENED_RAD);
+    let largest_rad = WORSENED_FACTOR * theta_rad.max(alpha_rad).max(NOT_WORSENED_RAD);
+    let keeps_neighbourhood = |fit: &Fit<'_>| {
+        short_scale(fit, logs).is_within(largest_rad)
+            && implausible(unknowns, plant, &fit.model).is_none()
+    };
+    let mut longer: Vec<Fit<'a>> = Vec::new();
+    if first.stretches.iter().any(|stretch| stretch.regime == Regime::Hanging) {
         for duration_s in further_s {
-            let mut longer = fit.over(windows(logs, duration_s));
-            longer.run();
-            // The longest windows that keep the neighbourhood of the first stage are used.
-            if !short_scale(&longer, logs).is_within(largest_rad)
-                || implausible(unknowns, plant, &longer.model).is_some()
-            {
+            let mut next = longer.last().unwrap_or(&first).over(windows(logs, duration_s));
+            next.run();
+            if !keeps_neighbourhood(&next) {
                 break;
             }
-            fit = longer;
+            longer.push(next);
         }
     }
-    fit.finish();
-    fit.average_over_dampings();
+    // The longest windows whose fit stays in the neighbourhood to its end are used.
+    let longest = longer.into_iter().rev().map(ended).find(keeps_neighbourhood);
+    let fit = longest.unwrap_or_else(|| ended(first));
     if let Some((name, value, likely)) = implausible(unknowns, plant, &fit.model) {
         return Err(IdentifyError::Implausible { name, value, likely, cause: cause() });
     }
@@ -338,6 +341,13 @@ fn fitted<'a>(
         return Err(IdentifyError::NothingExplained { theta_rad, alpha_rad, cause: cause() });
     }
     Ok(fit)
+}
+
+/// The result of the last stage, searched beside and averaged over the dampings.
+fn ended(mut fit: Fit<'_>) -> Fit<'_> {
+    fit.finish();
+    fit.average_over_dampings();
+    fit
 }
 
 /// The fit of the first stage. It begins at `first_guess`, or, if a pendulum comes upright, at the

@@ -319,6 +319,8 @@ fn only_a_motor_that_warms_raises_a_doubt() {
             "{tests:?}"
         );
         assert_eq!(tests.missing_effects.is_empty(), share == 0.0, "{tests:?}");
+        let has_errors = found.estimates.iter().any(|it| it.model_error > 0.0);
+        assert_eq!(has_errors, share > 0.0, "{:?}", found.estimates);
     }
 }
 
@@ -338,6 +340,13 @@ fn an_encoder_off_its_centre_is_doubted_and_named() {
         "{:?}",
         found.assessment
     );
+    // Such an encoder makes the arm seem longer. The error of its length includes this, and would
+    // be much too small without it.
+    let length = Unknown::from(DomainParameter::RotaryLength);
+    let length = found.estimates.iter().find(|it| it.unknown == length).unwrap();
+    let off = (length.value - truth().parameters.rotary_length_m).abs();
+    let of_noise = (length.standard_error.powi(2) - length.model_error.powi(2)).sqrt();
+    assert!(off < 2.0 * length.standard_error && off > 4.0 * of_noise, "{off}: {length:?}");
 }
 
 #[test]

@@ -25,10 +25,13 @@ pub struct Estimate {
     pub unknown: Unknown,
     /// Value in its SI unit.
     pub value: f64,
-    /// Standard error in the same unit. It accounts for the residuals' correlation in time, and for
-    /// windows and recordings that contradict each other. The standard error of the cable's rest
-    /// angle includes the angle's scatter between recordings.
+    /// Standard error in the same unit. It accounts for the residuals' correlation in time, for
+    /// windows and recordings that contradict each other, and for `model_error`. The standard error
+    /// of the cable's rest angle includes the angle's scatter between recordings.
     pub standard_error: f64,
+    /// Change of the value, in the same unit and without its sign, by the effect that the model
+    /// seems to lack; 0 if the model holds or no effect is significant.
+    pub model_error: f64,
     /// Share of the prior variance that the data removed, 0 to 1; near 0, the value is the prior's.
     pub variance_removed: f64,
 }
@@ -184,12 +187,13 @@ impl Evidence {
         let correlations = correlations.collect();
         let estimates = unknowns.iter().enumerate().map(|(index, &unknown)| {
             let (moved, left) = (unknown.of(model), variance(index));
+            let in_si = |stds: f64| unknown.deviation(moved, stds * unknown.prior(plant).std);
             Estimate {
                 unknown,
                 value: unknown.quantity(moved),
-                standard_error: unknown
-                    .deviation(moved, total(index).sqrt() * unknown.prior(plant).std),
-                variance_removed: 1.0 - left,
+                standard_error: in_si(total(index).sqrt()),
+                model_error: in_si(self.shift[index].abs()),
+                variance_removed: (1.0 - left).max(0.0),
             }
         });
         let undetermined = eigen.eigenvalues.iter().enumerate().filter(|(_, value)| **value < 1.0);

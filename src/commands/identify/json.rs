@@ -54,6 +54,7 @@ fn estimate(estimate: &Estimate) -> Value {
         "name": estimate.unknown.name(),
         "value": estimate.value,
         "standard_error": estimate.standard_error,
+        "model_error": estimate.model_error,
         "told_by_data": estimate.variance_removed,
     })
 }

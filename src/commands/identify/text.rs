@@ -37,7 +37,7 @@ fn estimates(identified: &Identified) -> String {
         "quantity", "value", "std. error", "unit", "from data"
     );
     for estimate in &identified.estimates {
-        let Estimate { unknown, value, standard_error, variance_removed } = *estimate;
+        let Estimate { unknown, value, standard_error, variance_removed, .. } = *estimate;
         let mark = if estimate.is_determined() { "" } else { "  from the prior" };
         let percent = 100.0 * variance_removed;
         let (name, unit) = (unknown.name(), unknown.0.unit());
@@ -159,7 +159,12 @@ fn assessment(identified: &Identified) -> String {
     } else {
         String::new()
     };
-    format!("{verdict}{widened}\n")
+    let effect = if identified.estimates.iter().any(|it| it.model_error > 0.0) {
+        " The standard errors include the change of each value by the effect that explains the residuals best."
+    } else {
+        ""
+    };
+    format!("{verdict}{widened}{effect}\n")
 }
 
 /// Distance of a parameter from its prior mean, in standard deviations, from which it is noted. The
