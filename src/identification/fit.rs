@@ -66,6 +66,14 @@ struct Block {
     s: SVector<f64, 4>,
 }
 
+/// The residuals of one stretch, in standard deviations; their derivatives by the unknowns, the
+/// offsets of its recording and its start state; and the weight of their squares.
+struct Linearised {
+    residuals: DVector<f64>,
+    slopes: DMatrix<f64>,
+    weight: f64,
+}
+
 impl<'a> Fit<'a> {
     /// A fit that starts at `model`, with each stretch at its measured state.
     pub fn new(
@@ -281,14 +289,23 @@ impl<'a> Fit<'a> {
     /// The information (J'J) and the gradient (J'r) that each stretch gives of the unknowns, then
     /// of the offsets of its recording, in the fit's units and without the priors. The start state
     /// of the stretch is eliminated, and correlated residuals count as fewer.
+    ///
+    /// A wide swing depends so strongly on its start that the squares of the derivatives would lose
+    /// all that other unknowns say. The start's part is therefore taken from the derivatives
+    /// themselves, by an orthonormal basis of it.
     pub fn reduced(&self) -> Vec<(DMatrix<f64>, DVector<f64>)> {
-        let reduce = |block: Block| {
-            let Some(inverse) = block.ss.try_inverse() else { return (block.gg, block.g) };
-            let weighted = &block.gs * inverse;
-            let information = block.gg - &weighted * block.gs.transpose();
-            (information, block.g - weighted * block.s)
-        };
-        self.blocks().into_iter().map(reduce).collect()
+        side_by_side(&self.pieces(&self.starts), |&(stretch, start, recording)| {
+            let Linearised { residuals, mut slopes, weight } =
+                self.linearised(stretch, start, recording);
+            let count = slopes.ncols() - STARTS;
+            let basis = slopes.columns(count, STARTS).into_owned().qr().q();
+            slopes = slopes.remove_columns(count, STARTS);
+            // Once more, for the rounding of the first time.
+            for _ in 0..2 {
+                slopes -= &basis * basis.tr_mul(&slopes);
+            }
+            (weight * slopes.tr_mul(&slopes), weight * slopes.tr_mul(&residuals))
+        })
     }
 
     /// Stretches with their start states and the indices of their recordings.
@@ -333,17 +350,10 @@ impl<'a> Fit<'a> {
     }
 
     fn block(&self, stretch: &Stretch<'_>, start: State, recording: usize) -> Block {
-        let noise = self.noise(stretch.regime);
-        let scale = [noise.scale.theta_rad, noise.scale.alpha_rad];
-        let (model, zero_rad) = self.own(&self.model, recording, &self.offsets);
-        let (mut here, slopes) =
-            linearised(stretch, self.unknowns, self.plant, &model, start, scale);
-        here.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad / scale[1]);
-        let slopes = self.with_homing_offsets(slopes, scale[1]);
-        let weight =
-            robust_weight(here.norm_squared() / here.len() as f64) / noise.autocorrelation_samples;
+        let Linearised { residuals, slopes, weight } = self.linearised(stretch, start, recording);
         let count = slopes.ncols() - STARTS;
-        let (square, gradient) = (weight * slopes.tr_mul(&slopes), weight * slopes.tr_mul(&here));
+        let square = weight * slopes.tr_mul(&slopes);
+        let gradient = weight * slopes.tr_mul(&residuals);
         let ss = square.view((count, count), (STARTS, STARTS));
         Block {
             gg: square.view((0, 0), (count, count)).into_owned(),
@@ -352,6 +362,20 @@ impl<'a> Fit<'a> {
             g: gradient.rows(0, count).into_owned(),
             s: SVector::from_iterator(gradient.rows(count, STARTS).iter().copied()),
         }
+    }
+
+    /// The residuals of a stretch, their derivatives and their weight.
+    fn linearised(&self, stretch: &Stretch<'_>, start: State, recording: usize) -> Linearised {
+        let noise = self.noise(stretch.regime);
+        let scale = [noise.scale.theta_rad, noise.scale.alpha_rad];
+        let (model, zero_rad) = self.own(&self.model, recording, &self.offsets);
+        let (mut residuals, slopes) =
+            linearised(stretch, self.unknowns, self.plant, &model, start, scale);
+        residuals.iter_mut().skip(1).step_by(2).for_each(|alpha| *alpha += zero_rad / scale[1]);
+        let slopes = self.with_homing_offsets(slopes, scale[1]);
+        let weight = robust_weight(residuals.norm_squared() / residuals.len() as f64)
+            / noise.autocorrelation_samples;
+        Linearised { residuals, slopes, weight }
     }
 
     /// Inserts the derivatives by the recording's offsets between the derivatives by the unknowns

@@ -50,9 +50,9 @@ const PLAUSIBLE_LOG: f64 = 0.5;
 /// as hard to predict as an upright one.
 const WORSENED_FACTOR: f64 = 3.0;
 
-/// Smallest residual over the windows of the first stage that [`WORSENED_FACTOR`] multiplies, rad:
-/// about the resolution of a Qube's encoders. The real Qube's chirps leave 0.006 rad.
-const NOT_WORSENED_RAD: f64 = 1e-3;
+/// Residual over the windows of the first stage up to which no stage has ended in a wrong model,
+/// rad. The real Qube's chirps leave 0.01 rad.
+const NOT_WORSENED_RAD: f64 = 0.015;
 
 /// The result of an identification.
 #[derive(Clone, Debug, PartialEq)]
@@ -315,7 +315,7 @@ fn fitted<'a>(
     if !scale.is_within(LARGEST_RESIDUAL_RAD) {
         return Err(IdentifyError::Unexplained { theta_rad, alpha_rad, cause: cause() });
     }
-    let largest_rad = WORSENED_FACTOR * theta_rad.max(alpha_rad).max(NOT_WORSENED_RAD);
+    let largest_rad = (WORSENED_FACTOR * theta_rad.max(alpha_rad)).max(NOT_WORSENED_RAD);
     let keeps_neighbourhood = |fit: &Fit<'_>| {
         short_scale(fit, logs).is_within(largest_rad)
             && implausible(unknowns, plant, &fit.model).is_none()

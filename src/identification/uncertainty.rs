@@ -239,7 +239,10 @@ fn total(unknowns: &[Unknown], plant: &PlantModel, groups: &[Reduced]) -> Reduce
     let scaled = DMatrix::from_fn(stds.len(), stds.len(), |row, column| {
         information[(row, column)] * stds[row] * stds[column]
     });
-    (scaled, gradient.component_mul(&stds))
+    // Where the recordings say almost nothing, rounding may leave less than nothing.
+    let mut eigen = SymmetricEigen::new(scaled);
+    eigen.eigenvalues.iter_mut().for_each(|value| *value = value.max(0.0));
+    (eigen.recompose(), gradient.component_mul(&stds))
 }
 
 pub(super) fn prior_stds(unknowns: &[Unknown], plant: &PlantModel) -> DVector<f64> {
