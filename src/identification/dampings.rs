@@ -1,11 +1,11 @@
 //! The posterior of a damping that the recordings hardly tell from the motor's back-EMF.
 //!
-//! The torque against the arm's velocity is (D_r + k_m^2 / R_m) theta_dot. Recordings determine this
-//! sum and the torque per volt, k_m / R_m, but not D_r by itself. The prior of the logarithm of D_r
-//! is wide, and so its posterior is skewed: the most likely damping is small, and much larger
-//! ones with a smaller k_m are hardly less likely. A normal distribution about the most likely
-//! model would exclude them. In D_r itself the motion is nearly linear, so this file integrates over
-//! D_r: it moves the fit to the mean damping and states the variance about it.
+//! The torque against the arm's velocity is (D_r + k_m^2 / R_m) theta_dot. Recordings determine
+//! this sum and the torque per volt, k_m / R_m, but hardly D_r by itself. The prior of the
+//! logarithm of D_r is wide, so that its posterior is skewed: the most likely damping is small, and
+//! much larger ones with a smaller k_m are nearly as likely. A normal distribution about the most
+//! likely model would exclude them. In D_r itself the motion is nearly linear, so this file
+//! integrates over D_r: it moves the fit to the mean damping and states the variance about it.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -17,8 +17,8 @@ use crate::qube::{DomainParameter, PlantModel, Quantity, QubeModel};
 /// Number of values of the damping over which the posterior is summed.
 const VALUES: u32 = 400;
 
-/// Distance from the most likely value at which the sum ends, in standard deviations by the prior or
-/// by the recordings alone, whichever is nearer.
+/// Distance at which the sum ends, in standard deviations, from the mean of the prior or from the
+/// best value by the recordings alone, whichever is nearer.
 const FARTHEST_STDS: f64 = 6.0;
 
 /// The posterior of a damping: its first two moments about its present value, as fractions of this

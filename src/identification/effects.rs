@@ -272,8 +272,8 @@ impl Disturbed {
     }
 }
 
-/// The regression of the residuals on the unknowns with each effect. `squares` contains the products
-/// with each other of all columns: the columns of the unknowns, of the effects, and of the
+/// The regression of the residuals on the unknowns with each effect. `squares` contains the
+/// products with each other of all columns: the columns of the unknowns, of the effects, and of the
 /// residuals. `count` is the number of residuals minus the number of entries of the start states.
 fn regressions(fit: &Fit<'_>, squares: &DMatrix<f64>, count: f64) -> Vec<Trial> {
     let unknowns = fit.unknowns.len();
