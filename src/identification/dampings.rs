@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector};
 use super::fit::Fit;
 use super::uncertainty::weighed;
 use super::{NormalPrior, Unknown};
-use crate::qube::{DomainParameter, PlantModel, Quantity, QubeModel};
+use crate::qube::{PlantModel, Quantity, QubeModel};
 
 /// Number of values of the damping over which the posterior is summed.
 const VALUES: u32 = 400;
@@ -31,9 +31,7 @@ struct Moments {
 
 /// Returns whether the unknown is the damping of the arm or of the pendulum.
 fn is_damping(unknown: Unknown) -> bool {
-    [DomainParameter::RotaryDamping, DomainParameter::PendulumDamping]
-        .map(Quantity::from)
-        .contains(&unknown.0)
+    matches!(unknown.0, Quantity::Parameter(parameter) if parameter.is_damping())
 }
 
 impl Fit<'_> {

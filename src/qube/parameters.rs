@@ -159,6 +159,12 @@ impl DomainParameter {
     pub fn may_be_zero(self) -> bool {
         matches!(self, Self::MotorBackEmf | Self::RotaryDamping | Self::PendulumDamping)
     }
+
+    /// Returns whether the parameter is the damping of the arm or of the pendulum.
+    #[must_use]
+    pub fn is_damping(self) -> bool {
+        matches!(self, Self::RotaryDamping | Self::PendulumDamping)
+    }
 }
 
 impl DomainParameters {

@@ -3,9 +3,7 @@ use rand::RngExt;
 use thiserror::Error;
 
 use crate::elementary::normal_pair;
-use crate::qube::{
-    CONTROL_PERIOD_S, Distribution, DomainParameter, MAX_HISTORY, Nonideality, Quantity,
-};
+use crate::qube::{CONTROL_PERIOD_S, Distribution, MAX_HISTORY, Nonideality, Quantity};
 
 /// Largest distance of a draw from its mean, as a fraction of the mean: draws of a parameter lie
 /// between 0.1 and 1.9 times the mean.
@@ -82,9 +80,7 @@ const LARGEST_DAMPING: f64 = 10.0;
 #[must_use]
 pub fn range_of_draws(quantity: Quantity, mean: f64) -> (f64, f64) {
     match quantity {
-        Quantity::Parameter(DomainParameter::RotaryDamping | DomainParameter::PendulumDamping) => {
-            (0.0, LARGEST_DAMPING * mean)
-        }
+        Quantity::Parameter(parameter) if parameter.is_damping() => (0.0, LARGEST_DAMPING * mean),
         Quantity::Parameter(_) => ((1.0 - TRUNCATION) * mean, (1.0 + TRUNCATION) * mean),
         Quantity::Nonideality(term) => simulated_range(term),
     }

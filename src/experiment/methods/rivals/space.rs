@@ -2,7 +2,7 @@ use nalgebra::DVector;
 use rand_chacha::ChaCha8Rng;
 
 use super::gaussian::standard_normal;
-use crate::qube::{DomainParameter, PlantModel, Quantity, QubeModel};
+use crate::qube::{PlantModel, Quantity, QubeModel};
 use crate::simulation::{DomainDistribution, range_of_draws};
 
 /// Standard deviation of the logarithm of a damping before any data: published values differ by a
@@ -45,16 +45,10 @@ impl Space {
             let (own, proportion) = (before.get(quantity), plant.proportion(quantity));
             let (mean, deviation) =
                 (proportion * own.mean(), proportion * own.standard_deviation());
-            let is_damping = matches!(
-                quantity,
-                Quantity::Parameter(
-                    DomainParameter::RotaryDamping | DomainParameter::PendulumDamping
-                )
-            );
             let deviation = match quantity {
                 // A quantity that the plant does not have stays 0.
                 Quantity::Parameter(_) if mean == 0.0 => 0.0,
-                Quantity::Parameter(_) if is_damping => DAMPING_LOG_DEVIATION,
+                Quantity::Parameter(parameter) if parameter.is_damping() => DAMPING_LOG_DEVIATION,
                 Quantity::Parameter(_) => deviation / mean,
                 Quantity::Nonideality(_) => deviation,
             };
