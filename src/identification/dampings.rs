@@ -10,7 +10,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::fit::Fit;
-use super::uncertainty::weighed;
+use super::weighing::weighed;
 use super::{NormalPrior, Unknown};
 use crate::qube::{PlantModel, Quantity, QubeModel};
 

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use super::fit::Fit;
 use super::sensitivity::{STARTS, linearised};
 use super::stretch::Stretch;
-use super::uncertainty::prior_stds;
+use super::weighing::prior_stds;
 use crate::qube::{QubeModel, State};
 use crate::replay::MotionSample;
 

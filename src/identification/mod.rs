@@ -72,6 +72,7 @@ mod stretch;
 mod tests;
 mod uncertainty;
 mod unknowns;
+mod weighing;
 #[cfg(test)]
 mod wide_swing_tests;
 

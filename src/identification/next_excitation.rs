@@ -7,7 +7,7 @@ use super::fit::Fit;
 use super::fitness::check_recording;
 use super::residuals::Noise;
 use super::stretch::Stretch;
-use super::uncertainty::by_recording;
+use super::weighing::by_recording;
 use crate::policy::{EXCITATION_STEPS, Excitation, ExcitationShape};
 use crate::qube::{CONTROL_PERIOD_S, PlantModel, Profile, QubeModel, State};
 use crate::replay::{MotionLog, MotionSample, simulate_stretch};
