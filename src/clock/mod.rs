@@ -42,6 +42,11 @@ pub trait Clock: Send + Sync {
     /// deadline has passed.
     fn sleep_until(&self, deadline_ns: Nanoseconds);
 
+    /// Returns whether time passes while no thread waits on the clock.
+    fn passes_by_itself(&self) -> bool {
+        true
+    }
+
     /// Total time for which the computer has been suspended, ns, in which [`now_ns`](Self::now_ns)
     /// stood still; 0 for a clock that knows of no such time.
     fn suspended_ns(&self) -> Nanoseconds {

@@ -27,6 +27,10 @@ impl Clock for VirtualClock {
     fn sleep_until(&self, deadline_ns: Nanoseconds) {
         self.now_ns.fetch_max(deadline_ns, Ordering::Relaxed);
     }
+
+    fn passes_by_itself(&self) -> bool {
+        false
+    }
 }
 
 #[cfg(test)]

@@ -3,8 +3,12 @@
 
 use std::time::Duration;
 
-/// Time constant with which older differences are forgotten, s.
+/// Time constant with which older differences are forgotten while the arm is driven, s.
 const FORGOTTEN_S: f64 = 2.0;
+
+/// The same while the arm comes to rest with the motor off, s. The arm is slow then, and a late
+/// tachometer or one of a wrong scale differs little.
+const FORGOTTEN_AT_REST_S: f64 = 10.0;
 
 /// Largest difference between the motions that count and tachometer show, rad. A tachometer whose
 /// scale is wrong by a tenth differs by less.
@@ -20,8 +24,11 @@ const SLOW_RAD_S: f64 = 2.0;
 const CONSTANT_S: f64 = 0.05;
 
 /// The leaky integral of the count's velocity minus the tachometer's.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct CountDrift {
+    forgotten_s: f64,
+    /// Whether a constant count resets the difference.
+    resets: bool,
     difference_rad: f64,
     tachometer_rad_s: Option<f64>,
     /// Time for which the count has been constant, s.
@@ -29,6 +36,24 @@ pub(super) struct CountDrift {
 }
 
 impl CountDrift {
+    /// The integral for an arm that is driven.
+    pub(super) fn driven() -> Self {
+        Self {
+            forgotten_s: FORGOTTEN_S,
+            resets: true,
+            difference_rad: 0.0,
+            tachometer_rad_s: None,
+            constant_s: 0.0,
+        }
+    }
+
+    /// The integral for an arm that comes to rest. A constant count does not reset it, because no
+    /// other test finds a count that freezes then. An arm that a cable throws into a stop may seem
+    /// to have drifted, and is homed again.
+    pub(super) fn coming_to_rest() -> Self {
+        Self { forgotten_s: FORGOTTEN_AT_REST_S, resets: false, ..Self::driven() }
+    }
+
     /// Takes the motion of the count over the time since the last sample, rad, and the tachometer's
     /// velocity at its end, rad/s. Returns whether the difference is too large while the arm is
     /// slow and its count changes.
@@ -42,15 +67,20 @@ impl CountDrift {
         let before_rad_s = self.tachometer_rad_s.replace(tachometer_rad_s);
         let mean_rad_s = 0.5 * (before_rad_s.unwrap_or(tachometer_rad_s) + tachometer_rad_s);
         // Without `exp`, whose bits depend on the computer.
-        self.difference_rad *= (1.0 - elapsed_s / FORGOTTEN_S).max(0.0);
+        self.difference_rad *= (1.0 - elapsed_s / self.forgotten_s).max(0.0);
         self.difference_rad += moved_rad - mean_rad_s * elapsed_s;
         let fastest_rad_s = (moved_rad / elapsed_s).abs().max(tachometer_rad_s.abs());
         self.constant_s = if moved_rad == 0.0 { self.constant_s + elapsed_s } else { 0.0 };
-        if self.constant_s >= CONSTANT_S && mean_rad_s != 0.0 {
+        if self.resets && self.constant_s >= CONSTANT_S && mean_rad_s != 0.0 {
             self.difference_rad = 0.0;
         }
         let is_slow = moved_rad != 0.0 && fastest_rad_s < SLOW_RAD_S;
-        is_slow && self.difference_rad.abs() > LARGEST_RAD
+        is_slow && self.is_large()
+    }
+
+    /// Returns whether the difference is too large, however fast the arm is.
+    pub(super) fn is_large(&self) -> bool {
+        self.difference_rad.abs() > LARGEST_RAD
     }
 }
 
@@ -61,7 +91,7 @@ mod tests {
     /// Time, s, after which the count of an arm that swings with 1 rad at 1 Hz has drifted; `shown`
     /// gives the count's angle and the tachometer's velocity, from time, angle and velocity.
     fn drifted_after(shown: impl Fn(f64, f64, f64) -> (f64, f64)) -> Option<f64> {
-        let mut drift = CountDrift::default();
+        let mut drift = CountDrift::driven();
         let at = |tick: u32| {
             let (time_s, omega) = (f64::from(tick) * 0.01, std::f64::consts::TAU);
             let (sin, cos) = (omega * time_s).sin_cos();
@@ -89,7 +119,7 @@ mod tests {
 
     #[test]
     fn a_count_that_loses_a_fifth_of_one_direction_has_drifted() {
-        let mut drift = CountDrift::default();
+        let mut drift = CountDrift::driven();
         let omega = 0.01 * std::f64::consts::TAU;
         let found = (1..1000).find(|tick| {
             let angle_rad = |tick: i32| (omega * f64::from(tick)).sin();
@@ -103,7 +133,7 @@ mod tests {
 
     #[test]
     fn a_tachometer_that_holds_its_last_velocity_after_a_sudden_stop_is_no_drift() {
-        let mut drift = CountDrift::default();
+        let mut drift = CountDrift::driven();
         let elapsed = Duration::from_millis(10);
         for _ in 0..3 {
             for _ in 0..20 {

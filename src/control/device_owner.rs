@@ -1,9 +1,10 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use super::between_motions::{MotorCooling, RestMonitor};
 use super::latched_fault::{LatchedFault, ShownRollout};
+use super::motor_cooling::MotorCooling;
 use super::reconnect::{HelloRetries, greet_until_answered};
+use super::rest_monitor::RestMonitor;
 use super::{
     ControlAction, ControlError, ControlEvent, ControlState, DriveReport, Homing, HomingSettings,
     Motion, Moved, Tick, drive,
@@ -27,7 +28,8 @@ pub struct Homed {
 }
 
 /// The owner of the device on the control thread: carries out one motion at a time and keeps the
-/// knowledge that the next one needs. Between motions the amplifier is off.
+/// knowledge that the next one needs. Between motions the amplifier is off, and the counts are
+/// watched for a minute.
 pub(super) struct DeviceOwner {
     device: Box<dyn Device>,
     clock: Arc<dyn Clock>,
@@ -111,6 +113,7 @@ impl DeviceOwner {
         self.take(ControlEvent::Home)?;
         self.cool_motor();
         self.rest_monitor.encoders = settings.plant.encoders;
+        self.rest_monitor.crept_counts = 0;
         let mut homing = match self.state {
             ControlState::Cleared => Homing::after_fault(settings),
             _ => Homing::new(settings),
@@ -175,11 +178,22 @@ impl DeviceOwner {
         task: impl FnOnce(&mut dyn Device, &dyn Clock, &mut MotorHeat, &AtomicBool) -> R,
     ) -> Result<R, ControlError> {
         self.take(ControlEvent::Check)?;
+        self.rest_monitor.end_pause();
         self.cool_motor();
         let result = task(&mut *self.device, &*self.clock, &mut self.motor.heat, &self.stop);
         self.motor.switched_off(&*self.clock);
         self.state.take(ControlEvent::Checked);
         Ok(result)
+    }
+
+    /// Returns whether the counts are watched until the next task.
+    pub fn watches_pause(&self) -> bool {
+        self.rest_monitor.watches_pause()
+    }
+
+    /// Samples the counts once in the pause between two tasks, and waits for one period.
+    pub fn watch_pause(&mut self) {
+        self.rest_monitor.watch_pause(&mut *self.device, &*self.clock);
     }
 
     /// Applies a command to the state table.
@@ -203,6 +217,7 @@ impl DeviceOwner {
         motion: &mut dyn Motion,
         records: Option<&mut rtrb::Producer<TickRecord>>,
     ) -> Result<DriveReport, ControlError> {
+        self.rest_monitor.end_pause();
         let (device, clock) = (&mut *self.device, &*self.clock);
         let driven = drive(device, clock, motion, &mut self.motor.heat, records, &self.stop);
         self.motor.switched_off(clock);

@@ -46,7 +46,7 @@
 //! ```
 
 mod after_motion;
-mod between_motions;
+
 mod brake_end;
 mod count_drift;
 mod count_range;
@@ -71,10 +71,13 @@ mod leave_stop;
 mod machine;
 mod momentum_watch;
 mod motion;
+mod motor_cooling;
 mod oscillation;
+mod pause_watch;
 mod push;
 mod reconnect;
 mod rest;
+mod rest_monitor;
 mod rest_watch;
 mod rollout_brake;
 mod rules_of_recordings;
@@ -109,6 +112,7 @@ pub use machine::{ControlAction, ControlEvent, ControlState, state_diagram};
 pub use motion::{Motion, TickInput, TickOutput};
 pub use push::ArmInput;
 pub use reconnect::HelloRetries;
+pub(crate) use rest_monitor::LARGEST_CREEP_RAD;
 pub use rest_watch::{Moved, RestWatch, RestingCounts};
 pub use sensor_watch::SensorWatch;
 pub use sign_probe::{AT_REST_COUNTS, ArmResponse, ProbeSample, ProbeStage, ProbeTrace, SignProbe};

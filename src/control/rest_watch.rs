@@ -1,8 +1,11 @@
 //! Watches the counts while the amplifier is off, to decide whether the zeros of the last motion
 //! hold.
 
+use std::time::Duration;
+
 use thiserror::Error;
 
+use super::count_drift::CountDrift;
 use super::count_range::CountRange;
 use crate::qube::{CONTROL_PERIOD_S, Encoders, Measurement};
 
@@ -40,6 +43,10 @@ const TOLERANCE_COUNTS: f64 = 16.0;
 /// change is a jump of the count, or a blow.
 const LARGEST_KICK_COUNTS: f64 = 16.0;
 
+/// Shortest time between two samples that show a velocity, ticks: between two samples that follow
+/// closely, a change by one count looks like a fast arm.
+const SHORTEST_TICKS: f64 = 0.5;
+
 /// Counts at which arm and pendulum are at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RestingCounts {
@@ -61,8 +68,8 @@ pub enum Moved {
         "the pendulum rests {0:.2} rad from where it hung (a hand, or a loose plug of its encoder)"
     )]
     Pendulum(f64),
-    /// The arm's count jumped as the arm came to rest after the last motion.
-    #[error("the arm's count jumped as the arm came to rest (its encoder's cable?)")]
+    /// The arm's count jumped after the last motion.
+    #[error("the arm's count jumped while the motor was off (its encoder's cable?)")]
     Jumped,
     /// Arm and pendulum were not seen at rest, either after the last motion or before this one.
     #[error("arm and pendulum were not seen to come to rest since the last motion")]
@@ -70,6 +77,19 @@ pub enum Moved {
 }
 
 impl RestingCounts {
+    /// Counts by which the arm has moved since it was at `before`.
+    pub(super) fn arm_counts_since(self, before: Self) -> i32 {
+        self.theta.wrapping_sub(before.theta)
+    }
+
+    /// Returns whether an arm that creeps, slowly enough to be at rest, may have moved here from
+    /// `before`, where it was at rest `elapsed_s` seconds earlier.
+    pub(super) fn is_creep_from(self, before: Self, elapsed_s: f64, encoders: Encoders) -> bool {
+        let fastest_counts_s = ARM_WIDTH_COUNTS / (f64::from(REST_SAMPLES) * CONTROL_PERIOD_S);
+        let largest = 2.0 * ARM_WIDTH_COUNTS + fastest_counts_s * elapsed_s;
+        self.arm_counts_since(before).abs() <= encoders.theta.covering_qube_counts(largest)
+    }
+
     /// Checks whether the zeros of the last motion hold for the next one: the arm has stayed at
     /// `before`, and the pendulum hangs at `alpha_zero_counts` or whole turns from it.
     ///
@@ -81,7 +101,7 @@ impl RestingCounts {
         alpha_zero_counts: i32,
         encoders: Encoders,
     ) -> Result<(), Moved> {
-        let arm = self.theta.wrapping_sub(before.theta);
+        let arm = self.arm_counts_since(before);
         if arm.unsigned_abs() > encoders.theta.covering_qube_counts(TOLERANCE_COUNTS).unsigned_abs()
         {
             return Err(Moved::Arm(encoders.theta.angle_rad(arm)));
@@ -113,6 +133,7 @@ pub struct RestWatch {
     samples: u32,
     /// Number of these samples that make a rest.
     needed_samples: u32,
+    drift: CountDrift,
     has_jumped: bool,
 }
 
@@ -137,6 +158,7 @@ impl RestWatch {
             alpha,
             samples: 0,
             needed_samples: REST_SAMPLES,
+            drift: CountDrift::coming_to_rest(),
             has_jumped: false,
         }
     }
@@ -179,8 +201,9 @@ impl RestWatch {
             self.alpha = CountRange::at(sample.alpha_counts);
             (self.samples, self.needed_samples) = (1, REST_SAMPLES);
         }
-        (self.samples >= self.needed_samples)
-            .then(|| RestingCounts { theta: self.theta.middle(), alpha: self.alpha.middle() })
+        let is_at_rest = self.samples >= self.needed_samples;
+        self.has_jumped |= is_at_rest && self.drift.is_large();
+        is_at_rest.then(|| RestingCounts { theta: self.theta.middle(), alpha: self.alpha.middle() })
     }
 
     /// Returns whether arm and pendulum have been at rest for so long that the arm neither creeps
@@ -190,28 +213,40 @@ impl RestWatch {
         self.samples >= LONG_REST_SAMPLES
     }
 
-    /// Returns whether the arm's count has jumped by more than an arm can move.
+    /// Returns whether the arm's count has jumped by more than an arm can move, or has departed from
+    /// its tachometer by as much as a rollout would not tolerate.
     #[must_use]
     pub fn has_jumped(&self) -> bool {
         self.has_jumped
     }
 
     fn follow(&mut self, sample: &Measurement) {
-        let moved = self.last.and_then(|last| {
-            let ticks =
-                sample.device_time_us.saturating_sub(last.time_us) as f64 * 1e-6 / CONTROL_PERIOD_S;
-            let counts = sample.theta_counts.wrapping_sub(last.theta_counts);
-            (ticks > 0.0).then(|| (f64::from(counts), ticks, last.velocity))
-        });
-        if let Some((counts, ticks, Some(velocity))) = moved {
-            let kick = (counts - velocity * ticks).abs();
-            let largest_kick = LARGEST_KICK_COUNTS * self.encoders.theta.counts_per_qube_count();
-            self.has_jumped |= kick > largest_kick * ticks.max(1.0);
+        let encoder = self.encoders.theta;
+        let mut velocity = None;
+        if let Some(last) = self.last {
+            let elapsed_us = sample.device_time_us.saturating_sub(last.time_us);
+            let ticks = elapsed_us as f64 * 1e-6 / CONTROL_PERIOD_S;
+            if ticks < SHORTEST_TICKS {
+                return;
+            }
+            let moved = sample.theta_counts.wrapping_sub(last.theta_counts);
+            let counts = f64::from(moved);
+            if let Some(before) = last.velocity {
+                let kick = (counts - before * ticks).abs();
+                let largest_kick = LARGEST_KICK_COUNTS * encoder.counts_per_qube_count();
+                self.has_jumped |= kick > largest_kick * ticks.max(1.0);
+            }
+            self.has_jumped |= self.drift.has_drifted(
+                encoder.angle_rad(moved),
+                Duration::from_micros(elapsed_us),
+                encoder.angle_rad(sample.tachometer_counts_s),
+            );
+            velocity = Some(counts / ticks);
         }
         self.last = Some(Last {
             time_us: sample.device_time_us,
             theta_counts: sample.theta_counts,
-            velocity: moved.map(|(counts, ticks, _)| counts / ticks),
+            velocity,
         });
     }
 }
@@ -287,7 +322,9 @@ mod tests {
         assert!(matches!(rested, Some(RestingCounts { theta: 0, alpha: 695..=705 })), "{rested:?}");
         let mut watch = RestWatch::new(Encoders::QUBE);
         for tick in 0..200 {
-            assert_eq!(watch.update(&sample(tick, 2 * tick as i32, 0)), None);
+            let moves = sample(tick, 2 * tick as i32, 0);
+            let moves = Measurement { tachometer_counts_s: 200, ..moves };
+            assert_eq!(watch.update(&moves), None);
         }
         assert!(!watch.has_jumped());
         let rested = (200..).find_map(|tick| watch.update(&sample(tick, 398, 0)));
@@ -322,9 +359,14 @@ mod tests {
             let mut watch = RestWatch::after(Some(&last), Encoders::QUBE);
             for tick in 1..80 {
                 // The arm slows down from 2 rad/s.
-                let coasted = (150.0 * (1.0 - (-0.045 * tick as f64).exp())) as i32;
+                let velocity = (-0.045 * tick as f64).exp();
+                let coasted = (150.0 * (1.0 - velocity)) as i32;
                 let jumped = if tick >= jump_at { jump } else { 0 };
-                watch.update(&sample(tick, 1000 + coasted + jumped, 0));
+                let tachometer_counts_s = (675.0 * velocity) as i32;
+                watch.update(&Measurement {
+                    tachometer_counts_s,
+                    ..sample(tick, 1000 + coasted + jumped, 0)
+                });
             }
             watch.has_jumped()
         };
@@ -332,5 +374,46 @@ mod tests {
         for jump_at in [1, 2, 20, 60] {
             assert!(coming(jump_at, 40) && coming(jump_at, -300), "at {jump_at}");
         }
+    }
+
+    #[test]
+    fn a_count_that_departs_from_its_tachometer_has_jumped() {
+        let departs = |counts_s: u64, ticks: u64| {
+            let mut watch = RestWatch::after(Some(&sample(0, 0, 0)), Encoders::QUBE);
+            for tick in 1..ticks + 100 {
+                watch.update(&sample(tick, (tick.min(ticks) * counts_s / 100) as i32, 0));
+            }
+            watch.has_jumped()
+        };
+        for counts_s in [100, 200, 300, 600, 1000, 1500] {
+            assert!(departs(counts_s, 200), "{counts_s} counts/s");
+        }
+        assert!(departs(40, 500));
+        // A count that freezes while the arm slides by 0.5 rad.
+        let mut frozen = RestWatch::after(Some(&sample(0, 0, 0)), Encoders::QUBE);
+        for tick in 1..200 {
+            let tachometer_counts_s = if tick < 100 { 163 } else { 0 };
+            frozen.update(&Measurement { tachometer_counts_s, ..sample(tick, 0, 0) });
+        }
+        assert!(frozen.has_jumped());
+        assert!(!departs(50, 200));
+        assert!(!departs(300, 40));
+    }
+
+    #[test]
+    fn a_count_that_changes_between_two_close_samples_has_not_jumped() {
+        let after_close_samples = |changed: i32, jumped: i32| {
+            let mut watch = RestWatch::new(Encoders::QUBE);
+            let times_us = [0, 10_000, 20_000, 20_200, 30_200, 40_200];
+            let counts = [0, 0, 0, changed, changed + jumped, changed + jumped];
+            for (device_time_us, theta_counts) in times_us.into_iter().zip(counts) {
+                watch.update(&Measurement { device_time_us, theta_counts, ..sample(0, 0, 0) });
+            }
+            watch.has_jumped()
+        };
+        assert!(!after_close_samples(1, 0));
+        assert!(!after_close_samples(-3, 0));
+        assert!(after_close_samples(0, 17));
+        assert!(after_close_samples(-40, 0));
     }
 }

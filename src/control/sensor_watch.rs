@@ -138,7 +138,7 @@ impl SensorWatch {
             stall: Push::default(),
             pendulum: StillPendulum::default(),
             disagree_since_us: None,
-            drift: Some(CountDrift::default()),
+            drift: Some(CountDrift::driven()),
         }
     }
 

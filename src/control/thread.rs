@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, bounded};
 
 use super::device_owner::{DeviceOwner, Homed};
 use super::latched_fault::LatchedFault;
@@ -22,8 +22,20 @@ const LATCHED_FAULT_POLL: Duration = Duration::from_millis(20);
 /// neither allocates nor loads a file.
 type Task = Box<dyn FnOnce(&mut DeviceOwner) + Send>;
 
+/// Waits for the next task, and meanwhile watches the counts; returns `None` once the handle is
+/// dropped.
+fn next_task(inbox: &Receiver<Task>, owner: &mut DeviceOwner) -> Option<Task> {
+    while owner.watches_pause() {
+        match inbox.try_recv() {
+            Err(TryRecvError::Empty) => owner.watch_pause(),
+            received => return received.ok(),
+        }
+    }
+    inbox.recv().ok()
+}
+
 /// Handle of the thread that owns the device. The thread carries out one task at a time; in
-/// between the amplifier is off.
+/// between the amplifier is off, and the thread watches the counts.
 pub struct ControlThread {
     tasks: Option<Sender<Task>>,
     /// Channel without messages, which disconnects once the device is dropped.
@@ -69,7 +81,7 @@ impl ControlThread {
             // Dropped after the device, also if a task panics.
             let _alive = alive;
             let mut owner = DeviceOwner::new(device, clock, stop, shown);
-            for task in inbox {
+            while let Some(task) = next_task(&inbox, &mut owner) {
                 task(&mut owner);
             }
         })?;

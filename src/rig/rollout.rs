@@ -4,7 +4,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::error::link_fault;
 use super::{Rig, RigError, RigSettingError};
-use crate::control::{ControlError, DriveReport, HomingMethod, Moved, RING_CAPACITY};
+use crate::control::{
+    ControlError, DriveReport, HomingMethod, LARGEST_CREEP_RAD, Moved, RING_CAPACITY,
+};
 use crate::estimation::MeasuredStops;
 use crate::policy::{Controller, External, Policy};
 use crate::preflight::admit_processor;
@@ -38,10 +40,6 @@ const LEAST_AGE_S: f64 = 0.002;
 
 /// Largest age that is assumed for a sample without a device time, s.
 const LONGEST_AGE_S: f64 = 0.01;
-
-/// Largest angle by which a cable is assumed to pull a resting arm between two rollouts, rad. On
-/// `lab` it pulls by 0.1 rad in 10 s.
-const LARGEST_CREEP_RAD: f64 = 0.35;
 
 /// Returns whether the arm's count may be wrong after a rest between two rollouts, because it
 /// jumped or moved farther than a cable pulls the arm. Homing by hand touches no stop, so it would

@@ -59,6 +59,10 @@ impl Clock for LateClock {
         let pause_s = -late.every_s * late.random.random_range(1e-3_f64..1.0).ln();
         late.next_ns = self.time.now_ns() + (pause_s * 1e9) as Nanoseconds;
     }
+
+    fn passes_by_itself(&self) -> bool {
+        self.time.passes_by_itself()
+    }
 }
 
 /// A computer with an emulated Qube and a clock whose stalls are drawn from this seed.

@@ -4,9 +4,10 @@
 
 use std::f64::consts::TAU;
 use std::path::Path;
-use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU32};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::control::{ControlError, HomingMethod, HomingSettings, Moved};
@@ -24,10 +25,34 @@ use crate::harmless::wire::SharedWire;
 
 const MS: Nanoseconds = 1_000_000;
 
+/// A virtual clock that may say that time passes by itself. Then the control thread samples in the
+/// pauses between motions, which advances the time.
+#[derive(Clone, Debug, Default)]
+struct BenchClock {
+    time: VirtualClock,
+    passes_by_itself: Arc<AtomicBool>,
+}
+
+impl Clock for BenchClock {
+    fn now_ns(&self) -> Nanoseconds {
+        self.time.now_ns()
+    }
+
+    fn sleep_until(&self, deadline_ns: Nanoseconds) {
+        self.time.sleep_until(deadline_ns);
+    }
+
+    fn passes_by_itself(&self) -> bool {
+        self.passes_by_itself.load(Relaxed)
+    }
+}
+
 /// An emulated Qube whose plant the test can inspect.
 #[derive(Clone, Debug, Default)]
 struct Bench {
     clock: VirtualClock,
+    /// Whether the control thread watches the counts in the pause after a motion that ends now.
+    watches_pauses: Arc<AtomicBool>,
     wire: Arc<Mutex<Option<SharedWire>>>,
     last: LastSample,
     repeats: bool,
@@ -92,7 +117,8 @@ impl Connect for Bench {
             repeats: self.repeats,
             armed: Arc::clone(&self.armed),
         };
-        Ok((Box::new(device), Arc::new(self.clock.clone())))
+        let passes_by_itself = Arc::clone(&self.watches_pauses);
+        Ok((Box::new(device), Arc::new(BenchClock { time: self.clock.clone(), passes_by_itself })))
     }
 
     fn is_hardware(&self) -> bool {
@@ -259,6 +285,117 @@ fn an_arm_that_creeps_away_in_a_pause_is_homed_again_once_and_not_waited_for() {
     }
     assert_eq!(homed_again, 1, "not homed again exactly once: {watched_s:?}");
     assert!(watched_s.iter().all(|seconds| *seconds < 5.0), "{watched_s:?}");
+}
+
+/// Runs a rollout on `lab`, after which a pause of 100 s follows. In its first minute the counts are
+/// watched, if the bench watches them at all.
+fn after_a_pause(watches_pauses: bool, fault: Option<&str>) -> (Bench, Rig) {
+    let directory = tempfile::tempdir().unwrap();
+    let bench = Bench::default();
+    let emulator = EmulatorSettings {
+        model: Profile::lab().model(),
+        fault: fault.map(|fault| fault.parse().unwrap()),
+        seed: 5,
+        ..EmulatorSettings::default()
+    };
+    let rig = bench.open(emulator, HomingSettings::default()).unwrap();
+    let path = directory.path().join("before.mcap");
+    bench.watches_pauses.store(watches_pauses, Relaxed);
+    let recording = rollout(&rig, 0, &path, &shipped("robust.safetensors")).unwrap();
+    let ended_ns = recording.ticks.last().unwrap().deadline_ns;
+    assert_eq!(recording.outcome.unwrap().ending, Ending::Completed, "{fault:?}");
+    pause_until(&bench, ended_ns + 100_000 * MS);
+    bench.watches_pauses.store(false, Relaxed);
+    (bench, rig)
+}
+
+/// Waits until the control thread watches the counts no longer, so that the time stands still, and
+/// then advances the time.
+fn pause_until(bench: &Bench, end_ns: Nanoseconds) {
+    let mut before_ns = None;
+    while before_ns != Some(bench.clock.now_ns()) {
+        before_ns = Some(bench.clock.now_ns());
+        std::thread::sleep(Duration::from_secs(1));
+    }
+    bench.clock.sleep_until(end_ns);
+}
+
+#[test]
+fn an_arm_that_creeps_while_it_is_watched_is_not_homed_again() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    let (_, unwatched) = after_a_pause(false, None);
+    let refused = rollout(&unwatched, 1, &path, &shipped("robust.safetensors")).err().unwrap();
+    assert!(matches!(refused, RigError::NotBegun { .. }), "{refused}");
+
+    let (bench, rig) = after_a_pause(true, None);
+    let recording = rollout(&rig, 1, &path, &shipped("robust.safetensors")).unwrap();
+    let error_rad = errors_rad(&bench, &recording).0;
+    assert!(error_rad < 0.02, "{error_rad:.3} rad");
+}
+
+#[test]
+fn a_count_that_does_not_creep_in_a_watched_pause_means_homing_again() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    // The first rollout ends between 30 and 40 s.
+    for fault in [
+        "jump-theta@45:40",
+        "jump-theta@45:-40",
+        "jump-theta@70:20",
+        "jump-theta@70:300",
+        "drifting-theta@45:60",
+        "drifting-theta@45:-6",
+        "drifting-theta@45:4",
+        "pushed-arm@60+1:0.6",
+    ] {
+        let (bench, mut rig) = after_a_pause(true, Some(fault));
+        let Err(refused) = rollout(&rig, 1, &path, &shipped("robust.safetensors")) else {
+            panic!("{fault}: the rollout has begun");
+        };
+        assert!(matches!(refused, RigError::NotBegun { .. }), "{fault}: {refused}");
+        if fault.starts_with("drifting") {
+            continue;
+        }
+        rig.start_again().unwrap();
+        let recording = rollout(&rig, 1, &path, &shipped("robust.safetensors")).unwrap();
+        let error_rad = errors_rad(&bench, &recording).0;
+        assert!(error_rad < 0.02, "{fault}: {error_rad:.3} rad");
+    }
+}
+
+/// The zero of an arm whose count drifts slowly in each pause is wrong by 0.35 rad at most when the
+/// arm is homed again.
+#[test]
+fn an_arm_is_followed_by_no_more_than_a_cable_pulls_it_between_two_homings() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("rollout.mcap");
+    let bench = Bench::default();
+    let emulator = EmulatorSettings {
+        fault: Some("drifting-theta@40:2".parse().unwrap()),
+        seed: 5,
+        ..EmulatorSettings::default()
+    };
+    let rig = bench.open(emulator, HomingSettings::default()).unwrap();
+    bench.watches_pauses.store(true, Relaxed);
+    let mut largest_error_rad = 0.0_f64;
+    let mut rollouts = 0;
+    let refused = loop {
+        let recording = match rollout(&rig, rollouts, &path, &classical()) {
+            Ok(recording) => recording,
+            Err(refused) => break refused,
+        };
+        let drifted_s = (recording.ticks[0].deadline_ns as f64 * 1e-9 - 40.0).max(0.0);
+        largest_error_rad = largest_error_rad.max(2.0 * drifted_s * TAU / 2048.0);
+        rollouts += 1;
+        pause_until(&bench, 0);
+    };
+    eprintln!("{rollouts} rollouts, the largest error at a beginning: {largest_error_rad:.3} rad");
+    assert!(matches!(refused, RigError::NotBegun { fault: Fault::CountsMoved, .. }), "{refused}");
+    assert!((2..10).contains(&rollouts), "{rollouts}");
+    // The count drifts in the rollouts, too, which take less than 15 s each.
+    let in_rollouts_rad = f64::from(rollouts) * 15.0 * 2.0 * TAU / 2048.0;
+    assert!(largest_error_rad < 0.35 + in_rollouts_rad, "{largest_error_rad:.3} rad");
 }
 
 #[test]

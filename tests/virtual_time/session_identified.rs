@@ -193,6 +193,10 @@ impl Clock for StallingClock {
             self.stalls_next_ns.store(self.now_ns() + 200_000_000, Ordering::Relaxed);
         }
     }
+
+    fn passes_by_itself(&self) -> bool {
+        self.time.passes_by_itself()
+    }
 }
 
 impl Connect for StallingComputer {

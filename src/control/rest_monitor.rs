@@ -1,17 +1,14 @@
-//! Knowledge that the control thread keeps from one motion to the next: the motor's heat, and the
-//! counts at which arm and pendulum came to rest.
+//! Watches arm and pendulum between two motions, so that no motion begins with zeros that no longer
+//! hold.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use super::pause_watch::{Pause, PauseWatch};
 use super::{ControlError, DeviceLoss, Moved, RestWatch, RestingCounts, SAMPLE_TIMEOUT_NS};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError, LinkFault};
 use crate::qube::{CONTROL_PERIOD_NS, Encoders, Measurement};
-use crate::safety::MotorHeat;
 use crate::telemetry::TickSettings;
-
-/// Interval at which a cooling pause checks for a request to stop, ns.
-const COOLING_STEP_NS: Nanoseconds = 100_000_000;
 
 /// Time that arm and pendulum may take to come to rest with the amplifier off, ns. If they do not,
 /// the arm is homed before the next rollout.
@@ -21,48 +18,10 @@ const REST_TIME_NS: Nanoseconds = 15_000_000_000;
 /// the beginning of the pause.
 const SHORT_PAUSE_NS: Nanoseconds = 5_000_000_000;
 
-/// The motor's heat between motions.
-#[derive(Debug, Default)]
-pub(super) struct MotorCooling {
-    pub heat: MotorHeat,
-    /// Time up to which `heat` is computed and since which the motor has had no current, ns; `None`
-    /// before the first motion.
-    off_since_ns: Option<Nanoseconds>,
-}
-
-impl MotorCooling {
-    /// A motor with this heat whose current ends now.
-    pub fn off_from_now(heat: MotorHeat, clock: &dyn Clock) -> Self {
-        Self { heat, off_since_ns: Some(clock.now_ns()) }
-    }
-
-    /// Notes that the current ends now.
-    pub fn switched_off(&mut self, clock: &dyn Clock) {
-        self.off_since_ns = Some(clock.now_ns());
-    }
-
-    /// Cools the motor for the time without current since the last update.
-    pub fn cool(&mut self, clock: &dyn Clock) {
-        if let Some(off_since_ns) = &mut self.off_since_ns {
-            let now_ns = clock.now_ns();
-            let off_ns = now_ns.saturating_sub(*off_since_ns);
-            self.heat = self.heat.cooled(off_ns as f64 * 1e-9);
-            *off_since_ns = now_ns;
-        }
-    }
-
-    /// Waits with the amplifier off until the motor is cool enough for the next motion or `stop` is
-    /// set.
-    pub fn cool_down(&mut self, clock: &dyn Clock, stop: &AtomicBool) {
-        self.cool(clock);
-        let cooling_ns = (self.heat.cooling_s() * 1e9) as Nanoseconds;
-        let end_ns = clock.now_ns().saturating_add(cooling_ns);
-        while clock.now_ns() < end_ns && !stop.load(Ordering::Relaxed) {
-            clock.sleep_until(end_ns.min(clock.now_ns() + COOLING_STEP_NS));
-            self.cool(clock);
-        }
-    }
-}
+/// Largest angle by which a cable is assumed to pull a resting arm, rad: between two homings if the
+/// arm is watched, within one pause after homing by hand. On `lab` it pulls by 0.1 rad in 10 s. A
+/// count that drifts as slowly while the arm stays makes the zero wrong by as much.
+pub const LARGEST_CREEP_RAD: f64 = 0.35;
 
 /// The state that ends a watch of arm and pendulum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,36 +32,55 @@ pub(super) enum WaitsFor {
     Stillness,
 }
 
+/// Counts at which a motion has left arm and pendulum.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Left {
+    /// Counts at which they came to rest after the motion.
+    came_to_rest: RestingCounts,
+    /// Counts at which they were at rest in the last sample of the pause that was watched.
+    at_rest: RestingCounts,
+}
+
 /// Knowledge about the encoder counts between motions.
 #[derive(Debug)]
 pub(super) struct RestMonitor {
     /// Name of the port for errors.
     pub port: String,
-    /// Counts at which arm and pendulum came to rest after the last motion, or the reason why they
-    /// are not known.
-    pub left_at: Result<RestingCounts, Moved>,
+    /// Counts at which the last motion left arm and pendulum, or the reason why they are not known.
+    pub left_at: Result<Left, Moved>,
     /// Encoders of the plant that was homed.
     pub encoders: Encoders,
-    /// Time at which `left_at` was determined, ns.
+    /// Counts by which the arm has crept in all watched pauses since the last homing.
+    pub crept_counts: i32,
+    /// Time at which arm and pendulum came to rest after the last motion, ns.
     pub left_ns: Nanoseconds,
     /// The state that ends the watch after each motion. It becomes [`WaitsFor::Stillness`] for as
     /// long as the device stays open once the arm has moved within a pause shorter than
     /// [`SHORT_PAUSE_NS`], because a cable may pull the arm away after each motion. In a longer
-    /// pause, such as a training, an arm that was at rest may creep away; homing the arm again then
-    /// costs less time than waiting after each motion.
+    /// pause, such as a training, an arm that was at rest may creep away; to follow it, or to home
+    /// it again, then costs less time than waiting after each motion.
     pub waits_for: WaitsFor,
+    /// The watch in the pause since the last motion, while it goes on.
+    pub pause: Option<PauseWatch>,
 }
 
 impl Default for RestMonitor {
     fn default() -> Self {
-        let (port, encoders) = (String::new(), Encoders::default());
-        Self { port, left_at: Err(Moved::Unseen), encoders, left_ns: 0, waits_for: WaitsFor::Rest }
+        Self {
+            port: String::new(),
+            left_at: Err(Moved::Unseen),
+            encoders: Encoders::default(),
+            crept_counts: 0,
+            left_ns: 0,
+            waits_for: WaitsFor::Rest,
+            pause: None,
+        }
     }
 }
 
 impl RestMonitor {
     /// Watches with the amplifier off where arm and pendulum come to rest after a motion, and
-    /// stores their counts in `left_at`.
+    /// stores their counts in `left_at`. If time passes by itself, the watch goes on in the pause.
     ///
     /// # Errors
     /// A sample reports that the device is armed, although the device has confirmed that its motor
@@ -120,10 +98,77 @@ impl RestMonitor {
             return Err(DeviceError::StaysArmed { port: self.port.clone() });
         }
         let rest = watched.ok().flatten();
+        let left = rest.map(|rest| Left { came_to_rest: rest, at_rest: rest });
         self.left_at =
-            if watch.has_jumped() { Err(Moved::Jumped) } else { rest.ok_or(Moved::Unseen) };
+            if watch.has_jumped() { Err(Moved::Jumped) } else { left.ok_or(Moved::Unseen) };
         self.left_ns = clock.now_ns();
+        let rest = rest.filter(|_| self.left_at.is_ok() && clock.passes_by_itself());
+        self.pause = rest.map(|rest| PauseWatch::new(watch, self.encoders, rest, self.left_ns));
         Ok(())
+    }
+
+    /// Returns whether the counts are watched in the pause since the last motion.
+    pub fn watches_pause(&self) -> bool {
+        self.pause.is_some()
+    }
+
+    /// Takes one sample of the pause since the last motion, and waits until the next is due. An arm
+    /// that creeps is followed. The watch ends where the arm's count changes in another way, which
+    /// means homing again, and when its time is over.
+    pub fn watch_pause(&mut self, device: &mut dyn Device, clock: &dyn Clock) {
+        let Some(mut pause) = self.pause.take() else { return };
+        let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
+        let next_ns = clock.now_ns() + CONTROL_PERIOD_NS;
+        let goes_on = match device.sample(clock.now_ns() + sample_time_ns) {
+            // The next motion finds out, and reports, that the motor is on or the device is lost.
+            Ok(sample) if sample.status.armed => false,
+            Err(fault) => DeviceLoss::of(fault).is_none(),
+            Ok(sample) => self.follow(pause.update(&sample, clock.now_ns())),
+        };
+        if goes_on {
+            self.pause = Some(pause);
+            clock.sleep_until(next_ns);
+        }
+    }
+
+    /// Ends the watch of a pause, because the device is used for something else.
+    pub fn end_pause(&mut self) {
+        self.pause = None;
+    }
+
+    /// Stores where the arm is at rest now, if it has crept by no more than [`LARGEST_CREEP_RAD`]
+    /// since the last homing. Else `left_at` becomes the reason why its zero does not hold. Returns
+    /// whether the watch goes on.
+    fn follow(&mut self, seen: Pause) -> bool {
+        let Ok(left) = self.left_at else { return false };
+        match seen {
+            Pause::GoesOn => true,
+            Pause::Over => false,
+            Pause::Changed(moved) => {
+                self.left_at = Err(moved);
+                false
+            }
+            Pause::Rests(rest) => {
+                let crept_counts = self.crept_counts + rest.arm_counts_since(left.at_rest);
+                let crept_rad = self.encoders.theta.angle_rad(crept_counts);
+                let is_credible = crept_rad.abs() <= LARGEST_CREEP_RAD;
+                if is_credible {
+                    self.left_at = Ok(Left { at_rest: rest, ..left });
+                    self.crept_counts = crept_counts;
+                } else {
+                    self.left_at = Err(self.arm_moved(rest, left));
+                }
+                is_credible
+            }
+        }
+    }
+
+    /// The change of the arm's count from where the last motion left it to this rest. A count that
+    /// jumps back by as much as the arm has crept has moved, too.
+    fn arm_moved(&self, rest: RestingCounts, left: Left) -> Moved {
+        let moved = [left.came_to_rest, left.at_rest].map(|before| rest.arm_counts_since(before));
+        let counts = moved.into_iter().max_by_key(|counts| counts.unsigned_abs());
+        Moved::Arm(self.encoders.theta.angle_rad(counts.unwrap_or_default()))
     }
 
     /// Checks, after a motion that [`keep`](Self::keep) does not follow, that a sample does not
@@ -161,15 +206,20 @@ impl RestMonitor {
             NoRest::Link(fault) => DeviceError::Link { port, fault },
         };
         let just_left = clock.now_ns().saturating_sub(self.left_ns) < SHORT_PAUSE_NS;
-        let mut watch = RestWatch::new(self.encoders);
+        let unbroken = self.pause.take().and_then(|pause| pause.unbroken(clock.now_ns()));
+        let mut watch = unbroken.unwrap_or_else(|| RestWatch::new(self.encoders));
         let rest = watch_rest(&mut watch, WaitsFor::Rest, device, clock, stop).map_err(failed)?;
         let Some(rest) = rest else {
             let stopped = stop.load(Ordering::Relaxed);
             return Err(if stopped { ControlError::Stopped } else { Moved::Unseen.into() });
         };
-        let left_at = self.left_at?;
         let zero_counts = settings.calibration.alpha_zero_counts;
-        let compared = rest.compare(left_at, zero_counts, self.encoders);
+        let compared = self.left_at.and_then(|left| {
+            match rest.compare(left.at_rest, zero_counts, self.encoders) {
+                Err(Moved::Arm(_)) => Err(self.arm_moved(rest, left)),
+                compared => compared,
+            }
+        });
         if just_left && matches!(compared, Err(Moved::Arm(_))) {
             self.waits_for = WaitsFor::Stillness;
         }
@@ -221,28 +271,5 @@ fn watch_rest(
             return Ok(rest);
         }
         clock.sleep_until(deadline_ns);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::clock::VirtualClock;
-    use crate::safety::COOLED_LOAD;
-
-    #[test]
-    fn a_hot_motor_cools_down_before_the_next_motion_unless_a_stop_is_asked_for() {
-        let clock = VirtualClock::default();
-        let heat = MotorHeat { load: 0.85, ..MotorHeat::default() };
-        let mut motor = MotorCooling { heat, off_since_ns: Some(0) };
-        motor.cool_down(&clock, &AtomicBool::new(false));
-        assert!((motor.heat.load - COOLED_LOAD).abs() < 1e-3, "{motor:?}");
-        let waited_s = clock.now_ns() as f64 * 1e-9;
-        assert!((waited_s - heat.cooling_s()).abs() < 1e-3, "{waited_s} s");
-
-        let now_ns = clock.now_ns();
-        let mut motor = MotorCooling { heat, off_since_ns: Some(now_ns) };
-        motor.cool_down(&clock, &AtomicBool::new(true));
-        assert_eq!((clock.now_ns(), motor.heat), (now_ns, heat));
     }
 }
