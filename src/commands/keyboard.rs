@@ -21,6 +21,10 @@ use super::terminal;
 use crate::control::HomingMethod;
 use crate::rig::{DeviceChoice, Doubt};
 
+/// The key Ctrl-\\, which sends no signal while the keyboard is watched. It requests a stop, as
+/// somebody who presses it expects.
+const CTRL_BACKSLASH: u8 = 0x1c;
+
 /// A reader of single keys from the terminal; dropping it restores the terminal.
 ///
 /// Ctrl-C and Ctrl-Z remain signals. In the background, and if stdin is not a terminal, the
@@ -219,7 +223,7 @@ fn read_keys(shared: &Shared, keys: &Sender<u8>) {
                 true => shared.progress.pressed(key),
                 false => key == b' ',
             };
-            if is_stop {
+            if is_stop || key == CTRL_BACKSLASH {
                 shared.request_stop();
             }
         }

@@ -151,8 +151,8 @@ pub fn leave() {
 }
 
 /// Sets the terminal to single keys without echo; does nothing in the background, without a
-/// terminal, or after [`leave`]. Until [`restore`], Ctrl-\\ is disabled, because it would end the
-/// program without restoring the terminal.
+/// terminal, or after [`leave`]. Until [`restore`], Ctrl-\\ is a key like others, because its signal
+/// would end the program without braking the arm and restoring the terminal.
 pub fn set_single_keys() {
     let mut saved = SETTINGS_BEFORE.lock().unwrap_or_else(PoisonError::into_inner);
     if LEFT.load(Ordering::Relaxed) || !is_foreground() {

@@ -154,7 +154,7 @@ fn the_space_bar_brakes_a_run_as_ctrl_c_does_and_gives_the_terminal_back() {
 #[test]
 fn the_first_ctrl_c_after_another_stop_lets_the_brake_end() {
     in_real_time(|| {
-        for stop in ["space", "SIGTERM"] {
+        for stop in ["space", "Ctrl-\\", "SIGTERM"] {
             let directory = tempfile::tempdir().unwrap();
             let mut terminal = Terminal::start(directory.path(), &RUN);
             terminal.wait_for_text("space bar or Ctrl-C");
@@ -162,13 +162,16 @@ fn the_first_ctrl_c_after_another_stop_lets_the_brake_end() {
                 under_way(directory.path()) || it.child.try_wait().unwrap().is_some()
             });
             let process = Pid::from_child(&terminal.child);
-            let exit_code = if stop == "space" {
-                terminal.press(b" ");
-                terminal.wait_for_text("stopping");
-                130
-            } else {
-                kill_process(process, Signal::TERM).unwrap();
-                143
+            let exit_code = match stop {
+                "SIGTERM" => {
+                    kill_process(process, Signal::TERM).unwrap();
+                    143
+                }
+                key => {
+                    terminal.press(if key == "space" { b" " } else { b"\x1c" });
+                    terminal.wait_for_text("stopping");
+                    130
+                }
             };
             kill_process(process, Signal::INT).unwrap();
             assert_eq!(terminal.exit_code(), Some(exit_code), "{stop}: {}", terminal.shown);
