@@ -189,6 +189,7 @@ mod tests {
             purpose,
             point: vec![place],
             trained: true,
+            policy_checksum: None,
             finished: Vec::new(),
             void: 0,
             void_before: 0,

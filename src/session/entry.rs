@@ -38,6 +38,11 @@ pub enum Entry {
     Trained {
         /// Number of the candidate.
         candidate: u32,
+        /// The checksum of the policy's file, as [`crate::storage::checksum_of`] computes it; `None`
+        /// in ledgers of older programs. Before the first rollout no recording shows that the file
+        /// was exchanged.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        checksum: Option<String>,
     },
     /// A rollout has a result, and its recording is complete on disk.
     RolloutFinished {

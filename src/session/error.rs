@@ -119,10 +119,11 @@ pub enum SessionError {
         /// Defect of the file.
         reason: String,
     },
-    /// The policy file of a candidate holds another policy than the candidate's recordings.
+    /// The policy file of a candidate holds another policy than was trained, or than the candidate's
+    /// recordings hold.
     #[error(
-        "{path}: this is not the policy that made the candidate's rollouts: it was changed. Restore it from a backup; \
-         each recording beside it contains the policy that made it"
+        "{path}: this is not the candidate's policy: it was changed. Restore it from a backup; a recording beside it \
+         contains the policy that made it"
     )]
     PolicyChanged {
         /// Path of the policy.

@@ -324,7 +324,7 @@ mod tests {
                 pending: Vec::new(),
                 policy_of: None,
             },
-            Entry::Trained { candidate: 0 },
+            Entry::Trained { candidate: 0, checksum: None },
             Entry::RolloutVoid { candidate: 0, rollout: 0, attempt: 0, rig: None },
             Entry::RolloutFinished { candidate: 0, rollout: 0, attempt: 1, rig: Some(2) },
         ]
@@ -410,7 +410,7 @@ mod tests {
         };
         let (candidate, rollout, attempt, rig) = (u32::MAX, u32::MAX, u32::MAX, Some(u32::MAX));
         let bytes = |entry| encode(&entry, &mut Chain::default()).unwrap().len() as u64;
-        let trained = bytes(Entry::Trained { candidate });
+        let trained = bytes(Entry::Trained { candidate, checksum: None });
         let finished = bytes(Entry::RolloutFinished { candidate, rollout, attempt, rig });
         let void = bytes(Entry::RolloutVoid { candidate, rollout, attempt, rig });
         let most = u64::from(MOST_ROLLOUTS);
@@ -454,7 +454,7 @@ mod tests {
         let proposed = |candidate| beside(candidate, Vec::new());
         let finished =
             |rollout, attempt| Entry::RolloutFinished { candidate: 0, rollout, attempt, rig: None };
-        let trained = Entry::Trained { candidate: 0 };
+        let trained = Entry::Trained { candidate: 0, checksum: None };
         let begun = || Entry::Begun { settings: checksum_of(b"seed = 1"), chained: false };
         parse(lines(&[begun(), proposed(0), trained.clone()]).as_bytes()).unwrap();
         for (entries, line) in [

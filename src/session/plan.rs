@@ -288,7 +288,9 @@ mod tests {
                 }
                 Step::Train { candidates } => {
                     entries.extend(
-                        candidates.into_iter().map(|candidate| Entry::Trained { candidate }),
+                        candidates
+                            .into_iter()
+                            .map(|candidate| Entry::Trained { candidate, checksum: None }),
                     );
                 }
                 Step::Rollout { candidate, rollout, attempt } => {
@@ -405,7 +407,7 @@ mod tests {
                 (Entry::Proposed { purpose, .. }, Step::Propose { purpose: wanted, .. }) => {
                     (0, *purpose == wanted)
                 }
-                (Entry::Trained { candidate }, Step::Train { candidates }) => {
+                (Entry::Trained { candidate, .. }, Step::Train { candidates }) => {
                     (*candidate, candidates[0] == *candidate)
                 }
                 (
@@ -457,7 +459,8 @@ mod tests {
     fn finished(candidate: u32, purpose: Purpose, rollouts: u32) -> Vec<Entry> {
         let finished =
             |rollout| Entry::RolloutFinished { candidate, rollout, attempt: 0, rig: None };
-        let mut entries = vec![proposed(candidate, purpose), Entry::Trained { candidate }];
+        let mut entries =
+            vec![proposed(candidate, purpose), Entry::Trained { candidate, checksum: None }];
         entries.extend((0..rollouts).map(finished));
         entries
     }

@@ -14,6 +14,8 @@ pub struct Candidate {
     pub point: Vec<f64>,
     /// True once its policy is on disk.
     pub trained: bool,
+    /// Checksum of its policy's file; `None` before its training, and in ledgers of older programs.
+    pub policy_checksum: Option<String>,
     /// Finished rollouts in order.
     pub finished: Vec<Finished>,
     /// Number of attempts at the current rollout that are void.
@@ -360,6 +362,7 @@ impl SessionState {
                     purpose,
                     point: point.clone(),
                     trained: false,
+                    policy_checksum: None,
                     finished: Vec::new(),
                     void: 0,
                     void_before: 0,
@@ -367,12 +370,13 @@ impl SessionState {
                     identified_from: self.latest_profile(),
                 });
             }
-            Entry::Trained { candidate } => {
+            Entry::Trained { candidate, ref checksum } => {
                 let candidate = self.candidate(candidate)?;
                 if candidate.trained {
                     return Err(EntryError::TrainedAlready);
                 }
                 candidate.trained = true;
+                candidate.policy_checksum.clone_from(checksum);
             }
             Entry::RolloutFinished { candidate, rollout, attempt, rig } => {
                 let id = AttemptId { candidate, rollout, attempt };
@@ -576,8 +580,12 @@ mod tests {
             policy_of: None,
         };
         let void = Entry::RolloutVoid { candidate, rollout, attempt: 0, rig };
-        let mut state =
-            SessionState::of(&[proposed, Entry::Trained { candidate }, void.clone()]).unwrap();
+        let mut state = SessionState::of(&[
+            proposed,
+            Entry::Trained { candidate, checksum: None },
+            void.clone(),
+        ])
+        .unwrap();
         let first = AttemptId { candidate, rollout, attempt: 0 };
         assert_eq!(state.last_void(), Some(VoidAttempt { attempt: first, rig }));
         // An entry that is refused changes nothing.

@@ -245,6 +245,7 @@ mod tests {
             purpose: Purpose::Initial,
             point: vec![50.0],
             trained: true,
+            policy_checksum: None,
             finished: Vec::new(),
             void: 0,
             void_before: 0,

@@ -96,7 +96,7 @@ fn ledgers_are_read_from_their_corpus() {
             pending: Vec::new(),
             policy_of: None,
         },
-        Entry::Trained { candidate: 0 },
+        Entry::Trained { candidate: 0, checksum: None },
     ];
     let lines = entries.map(|entry| serde_json::to_string(&entry).unwrap());
     assert!(bodies::ledger(format!("!{}", lines.join("\n")).as_bytes()));

@@ -359,6 +359,26 @@ fn a_policy_that_was_exchanged_is_data_lost() {
     assert_eq!(resume(directory.path(), "mine").0, Some(0));
 }
 
+/// Before a candidate's first rollout no recording contains its policy.
+#[test]
+fn a_policy_that_was_exchanged_before_its_first_rollout_is_data_lost() {
+    let directory = tempfile::tempdir().unwrap();
+    assert!(begin(directory.path(), "mine", UPDATES[0]).wait().unwrap().success());
+    let ledger = directory.path().join("mine/ledger.jsonl");
+    let entries = std::fs::read_to_string(&ledger).unwrap();
+    let trained = entries.lines().position(|line| line.contains(r#""trained","candidate":1"#));
+    cut_ledger(&ledger, entries.lines().count() - trained.unwrap() - 1);
+    let policy = directory.path().join("mine/candidates/001/policy.safetensors");
+    let whole = std::fs::read(&policy).unwrap();
+    let other = directory.path().join("mine/candidates/000/policy.safetensors");
+    std::fs::copy(other, &policy).unwrap();
+    let (code, told) = resume(directory.path(), "mine");
+    assert_eq!(code, Some(3), "{told}");
+    assert!(told.contains("001/policy.safetensors: this is not the candidate's policy"), "{told}");
+    std::fs::write(&policy, whole).unwrap();
+    assert_eq!(resume(directory.path(), "mine").0, Some(0));
+}
+
 #[test]
 fn a_policy_that_is_lost_is_reported_before_the_session_goes_on() {
     let directory = tempfile::tempdir().unwrap();

@@ -415,6 +415,7 @@ mod tests {
             purpose: Purpose::Incumbent,
             point,
             trained: true,
+            policy_checksum: None,
             finished: Vec::new(),
             void: 0,
             void_before: 0,

@@ -232,6 +232,7 @@ mod tests {
             purpose: Purpose::Initial,
             point: source.search_settings(None).unwrap().psi.as_identified(),
             trained: true,
+            policy_checksum: None,
             finished: Vec::new(),
             void: 0,
             void_before: 0,

@@ -121,7 +121,7 @@ mod tests {
                 pending: Vec::new(),
                 policy_of: None,
             },
-            Entry::Trained { candidate: 0 },
+            Entry::Trained { candidate: 0, checksum: None },
             Entry::RolloutFinished { candidate: 0, rollout: 0, attempt: 0, rig: None },
         ] {
             session.ledger.append(entry).unwrap();

@@ -103,7 +103,7 @@ mod tests {
         assert_eq!(after(&entries), competitor(2, false));
         entries.push(proposed(2, Purpose::Initial));
         assert_eq!(after(&entries), competitor(2, false));
-        entries.push(Entry::Trained { candidate: 2 });
+        entries.push(Entry::Trained { candidate: 2, checksum: None });
         assert_eq!(after(&entries), None);
     }
 
@@ -123,7 +123,7 @@ mod tests {
         assert_eq!(after(&continued), None);
         entries.push(proposed(3, Purpose::Baseline));
         assert_eq!(after(&entries), baseline(3, false));
-        entries.push(Entry::Trained { candidate: 3 });
+        entries.push(Entry::Trained { candidate: 3, checksum: None });
         assert_eq!(after(&entries), None);
     }
 }

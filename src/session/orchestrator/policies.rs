@@ -12,7 +12,7 @@ use crate::rig::ClockChoice;
 use crate::session::{
     Candidate, Entry, Purpose, SessionError, SessionEvent, SessionSettings, Step, trains_ahead,
 };
-use crate::storage::write_whole;
+use crate::storage::{checksum_of, write_whole};
 
 impl Session {
     /// Makes the policies of these candidates, or waits for their trainings that run ahead, and
@@ -35,7 +35,8 @@ impl Session {
         }
         // The entries are in the order of the candidates' numbers, whichever was trained first.
         for &candidate in numbers {
-            self.ledger.append(Entry::Trained { candidate })?;
+            let checksum = Some(checksum_of(&self.policy_file(candidate)?));
+            self.ledger.append(Entry::Trained { candidate, checksum })?;
         }
         Ok(())
     }
@@ -132,10 +133,23 @@ impl Session {
     /// Reads and checks the policy of a candidate; returns it in the format of its file.
     pub(super) fn policy(&self, candidate: u32) -> Result<Vec<u8>, SessionError> {
         let path = self.policy_path(candidate);
-        let lost = |reason: String| SessionError::PolicyLost { path: path.clone(), reason };
+        let bytes = self.policy_file(candidate)?;
+        let policy = Policy::from_bytes(&bytes).map_err(|fault| SessionError::PolicyLost {
+            path: path.clone(),
+            reason: fault.to_string(),
+        })?;
+        let entered = &self.ledger.state().candidates()[candidate as usize].policy_checksum;
+        if entered.as_ref().is_some_and(|entered| *entered != checksum_of(&bytes)) {
+            return Err(SessionError::PolicyChanged { path });
+        }
+        Ok(policy.to_bytes())
+    }
+
+    /// Reads the file of a candidate's policy.
+    fn policy_file(&self, candidate: u32) -> Result<Vec<u8>, SessionError> {
+        let path = self.policy_path(candidate);
         let bytes = self.folder.disk().read(&path, MAX_POLICY_BYTES);
-        let policy = Policy::from_bytes(&bytes.map_err(|error| lost(error.to_string()))?);
-        Ok(policy.map_err(|fault| lost(fault.to_string()))?.to_bytes())
+        bytes.map_err(|error| SessionError::PolicyLost { path, reason: error.to_string() })
     }
 
     /// Checks the policies of all trained candidates, each of which may drive the Qube again. Does

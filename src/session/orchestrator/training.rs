@@ -449,6 +449,7 @@ mod tests {
             purpose,
             point,
             trained: false,
+            policy_checksum: None,
             finished: Vec::new(),
             void: 0,
             void_before: 0,
