@@ -17,7 +17,7 @@ const LARGEST_STEP_COUNTS: f64 = 3.0;
 
 /// What a sample shows about an arm that was at rest when a pause began.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Pause {
+pub(super) enum PauseEvent {
     /// Nothing new: the arm has not been at rest for long enough since it moved last.
     GoesOn,
     /// The arm is at rest. If it is not where it was, it has crept here.
@@ -63,10 +63,10 @@ impl PauseWatch {
     }
 
     /// Takes the next sample, which arrived at `now_ns`.
-    pub fn update(&mut self, sample: &Measurement, now_ns: Nanoseconds) -> Pause {
+    pub fn update(&mut self, sample: &Measurement, now_ns: Nanoseconds) -> PauseEvent {
         let gap_ns = now_ns.saturating_sub(self.sampled_ns);
         if gap_ns > LONGEST_GAP_NS || now_ns >= self.end_ns {
-            return Pause::Over;
+            return PauseEvent::Over;
         }
         self.sampled_ns = now_ns;
         let before_counts = self.theta_counts.replace(sample.theta_counts);
@@ -74,16 +74,16 @@ impl PauseWatch {
         let rest = self.watch.update(sample);
         let largest_step = self.encoders.theta.covering_qube_counts(LARGEST_STEP_COUNTS);
         if step.unsigned_abs() > largest_step.unsigned_abs() || self.watch.has_jumped() {
-            return Pause::Changed(Moved::Jumped);
+            return PauseEvent::Changed(Moved::Jumped);
         }
-        let Some(rest) = rest else { return Pause::GoesOn };
+        let Some(rest) = rest else { return PauseEvent::GoesOn };
         let elapsed_s = now_ns.saturating_sub(self.rest_ns) as f64 * 1e-9;
         if !rest.is_creep_from(self.rest, elapsed_s, self.encoders) {
             let counts = rest.arm_counts_since(self.rest);
-            return Pause::Changed(Moved::Arm(self.encoders.theta.angle_rad(counts)));
+            return PauseEvent::Changed(Moved::Arm(self.encoders.theta.angle_rad(counts)));
         }
         (self.rest, self.rest_ns) = (rest, now_ns);
-        Pause::Rests(rest)
+        PauseEvent::Rests(rest)
     }
 
     /// The watch of rest, to go on with before a rollout; `None` if the last sample is too old.
@@ -97,9 +97,9 @@ mod tests {
     use super::*;
     use crate::qube::CONTROL_PERIOD_NS;
 
-    /// The first sight other than [`Pause::GoesOn`] and of rest, for an arm whose count at each
+    /// The first sight other than [`PauseEvent::GoesOn`] and of rest, for an arm whose count at each
     /// tick is `counts`, and the last count at which the arm was at rest.
-    fn watched(gap_ticks: u64, counts: impl Fn(u64) -> i32) -> (Pause, RestingCounts) {
+    fn watched(gap_ticks: u64, counts: impl Fn(u64) -> i32) -> (PauseEvent, RestingCounts) {
         let sample = |tick: u64| Measurement {
             device_time_us: 1_000 + tick * CONTROL_PERIOD_NS / 1000,
             theta_counts: counts(tick),
@@ -113,8 +113,8 @@ mod tests {
         loop {
             tick += if tick == first + 500 { gap_ticks } else { 1 };
             match pause.update(&sample(tick), tick * CONTROL_PERIOD_NS) {
-                Pause::GoesOn => {}
-                Pause::Rests(rest) => at_rest = rest,
+                PauseEvent::GoesOn => {}
+                PauseEvent::Rests(rest) => at_rest = rest,
                 ends => return (ends, at_rest),
             }
         }
@@ -132,7 +132,7 @@ mod tests {
         for flickers in [0, 1] {
             let counts = |tick| 7 + creep(tick) + flickers * flicker(tick);
             let (ends, at_rest) = watched(1, counts);
-            assert_eq!(ends, Pause::Over, "flickers {flickers}");
+            assert_eq!(ends, PauseEvent::Over, "flickers {flickers}");
             let crept = at_rest.arm_counts_since(still);
             assert!((-92..=-86).contains(&crept), "flickers {flickers}: {crept}");
         }
@@ -149,7 +149,7 @@ mod tests {
                     });
                     assert_eq!(
                         ends,
-                        Pause::Changed(Moved::Jumped),
+                        PauseEvent::Changed(Moved::Jumped),
                         "{jump} every {every_ticks} ticks, creeps: {creeps}"
                     );
                 }
@@ -161,15 +161,15 @@ mod tests {
     fn an_arm_that_moves_faster_than_a_creep_is_not_followed() {
         // A hand turns the arm by 0.3 rad within a second.
         let (ends, at_rest) = watched(1, |tick| tick.saturating_sub(1000).min(100) as i32);
-        assert!(matches!(ends, Pause::Changed(Moved::Arm(rad)) if rad > 0.2), "{ends:?}");
+        assert!(matches!(ends, PauseEvent::Changed(Moved::Arm(rad)) if rad > 0.2), "{ends:?}");
         assert!(at_rest.arm_counts_since(watched(1, |_| 0).1) < 6, "{at_rest:?}");
     }
 
     #[test]
     fn a_gap_that_may_hide_a_jump_ends_the_watch() {
         let counts = |tick| if tick < 570 { 0 } else { 12 };
-        assert_eq!(watched(11, counts).0, Pause::Over);
-        assert_eq!(watched(10, counts).0, Pause::Changed(Moved::Jumped));
-        assert_eq!(watched(10, |_| 0).0, Pause::Over);
+        assert_eq!(watched(11, counts).0, PauseEvent::Over);
+        assert_eq!(watched(10, counts).0, PauseEvent::Changed(Moved::Jumped));
+        assert_eq!(watched(10, |_| 0).0, PauseEvent::Over);
     }
 }

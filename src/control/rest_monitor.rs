@@ -3,7 +3,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::pause_watch::{Pause, PauseWatch};
+use super::pause_watch::{PauseEvent, PauseWatch};
 use super::{ControlError, DeviceLoss, Moved, RestWatch, RestingCounts, SAMPLE_TIMEOUT_NS};
 use crate::clock::{Clock, Nanoseconds};
 use crate::device::{Device, DeviceError, LinkFault};
@@ -139,16 +139,16 @@ impl RestMonitor {
     /// Stores where the arm is at rest now, if it has crept by no more than [`LARGEST_CREEP_RAD`]
     /// since the last homing. Else `left_at` becomes the reason why its zero does not hold. Returns
     /// whether the watch goes on.
-    fn follow(&mut self, seen: Pause) -> bool {
+    fn follow(&mut self, seen: PauseEvent) -> bool {
         let Ok(left) = self.left_at else { return false };
         match seen {
-            Pause::GoesOn => true,
-            Pause::Over => false,
-            Pause::Changed(moved) => {
+            PauseEvent::GoesOn => true,
+            PauseEvent::Over => false,
+            PauseEvent::Changed(moved) => {
                 self.left_at = Err(moved);
                 false
             }
-            Pause::Rests(rest) => {
+            PauseEvent::Rests(rest) => {
                 let crept_counts = self.crept_counts + rest.arm_counts_since(left.at_rest);
                 let crept_rad = self.encoders.theta.angle_rad(crept_counts);
                 let is_credible = crept_rad.abs() <= LARGEST_CREEP_RAD;
