@@ -64,8 +64,7 @@ impl PauseWatch {
 
     /// Takes the next sample, which arrived at `now_ns`.
     pub fn update(&mut self, sample: &Measurement, now_ns: Nanoseconds) -> PauseEvent {
-        let gap_ns = now_ns.saturating_sub(self.sampled_ns);
-        if gap_ns > LONGEST_GAP_NS || now_ns >= self.end_ns {
+        if self.is_over(now_ns) {
             return PauseEvent::Over;
         }
         self.sampled_ns = now_ns;
@@ -86,16 +85,26 @@ impl PauseWatch {
         PauseEvent::Rests(rest)
     }
 
-    /// The watch of rest, to go on with before a rollout; `None` if the last sample is too old.
+    /// Returns whether the time of the watch is over, or the last sample is too old.
+    pub fn is_over(&self, now_ns: Nanoseconds) -> bool {
+        now_ns >= self.end_ns || now_ns.saturating_sub(self.sampled_ns) > LONGEST_GAP_NS
+    }
+
+    /// The watch of rest, to go on with before a rollout; `None` if this watch is over.
     pub fn unbroken(self, now_ns: Nanoseconds) -> Option<RestWatch> {
-        (now_ns.saturating_sub(self.sampled_ns) <= LONGEST_GAP_NS).then_some(self.watch)
+        (!self.is_over(now_ns)).then_some(self.watch)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use super::super::plant_device::{PlantDevice, TestFault};
+    use super::super::rest_monitor::RestMonitor;
     use super::*;
-    use crate::qube::CONTROL_PERIOD_NS;
+    use crate::clock::{Clock, VirtualClock};
+    use crate::qube::{CONTROL_PERIOD_NS, State};
 
     /// The first sight other than [`PauseEvent::GoesOn`] and of rest, for an arm whose count at each
     /// tick is `counts`, and the last count at which the arm was at rest.
@@ -171,5 +180,35 @@ mod tests {
         assert_eq!(watched(11, counts).0, PauseEvent::Over);
         assert_eq!(watched(10, counts).0, PauseEvent::Changed(Moved::Jumped));
         assert_eq!(watched(10, |_| 0).0, PauseEvent::Over);
+    }
+
+    #[test]
+    fn a_silent_device_is_not_watched_for_ever() {
+        let silent = |tick| (tick > 300).then_some(TestFault::Lost);
+        let mut device = PlantDevice::new(State::default());
+        device.disturbance = Box::new(silent);
+        let clock = RunningClock(device.clock.clone());
+        let mut monitor = RestMonitor::default();
+        monitor.keep(None, &mut device, &clock, &AtomicBool::new(false)).unwrap();
+        let begun_ns = clock.now_ns();
+        assert!(monitor.watches_pause());
+        while monitor.watches_pause() {
+            monitor.watch_pause(&mut device, &clock);
+        }
+        let watched_s = (clock.now_ns() - begun_ns) as f64 * 1e-9;
+        assert!((2.0..4.0).contains(&watched_s), "{watched_s} s");
+    }
+
+    /// A virtual clock that says that time passes by itself.
+    struct RunningClock(VirtualClock);
+
+    impl Clock for RunningClock {
+        fn now_ns(&self) -> Nanoseconds {
+            self.0.now_ns()
+        }
+
+        fn sleep_until(&self, deadline_ns: Nanoseconds) {
+            self.0.sleep_until(deadline_ns);
+        }
     }
 }

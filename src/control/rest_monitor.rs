@@ -122,7 +122,7 @@ impl RestMonitor {
         let goes_on = match device.sample(clock.now_ns() + sample_time_ns) {
             // The next motion finds out, and reports, that the motor is on or the device is lost.
             Ok(sample) if sample.status.armed => false,
-            Err(fault) => DeviceLoss::of(fault).is_none(),
+            Err(fault) => DeviceLoss::of(fault).is_none() && !pause.is_over(clock.now_ns()),
             Ok(sample) => self.follow(pause.update(&sample, clock.now_ns())),
         };
         if goes_on {
