@@ -46,7 +46,6 @@
 //! ```
 
 mod after_motion;
-
 mod brake_end;
 mod count_drift;
 mod count_range;
