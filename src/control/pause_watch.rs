@@ -36,34 +36,32 @@ pub(super) struct PauseWatch {
     /// Time of the last sample, ns, and the arm's count in it.
     sampled_ns: Nanoseconds,
     theta_counts: Option<i32>,
-    /// Counts and time at which the arm was at rest last.
-    rest: RestingCounts,
+    /// Time at which the arm was at rest last, ns.
     rest_ns: Nanoseconds,
     /// Time at which the watch ends, ns.
     end_ns: Nanoseconds,
 }
 
 impl PauseWatch {
-    /// A watch that begins at `now_ns`, when `watch` has found arm and pendulum at `rest`.
-    pub fn new(
-        watch: RestWatch,
-        encoders: Encoders,
-        rest: RestingCounts,
-        now_ns: Nanoseconds,
-    ) -> Self {
+    /// A watch that begins at `now_ns`, when `watch` has found arm and pendulum at rest.
+    pub fn new(watch: RestWatch, encoders: Encoders, now_ns: Nanoseconds) -> Self {
         Self {
             watch,
             encoders,
             sampled_ns: now_ns,
             theta_counts: None,
-            rest,
             rest_ns: now_ns,
             end_ns: now_ns + PAUSE_WATCH_NS,
         }
     }
 
-    /// Takes the next sample, which arrived at `now_ns`.
-    pub fn update(&mut self, sample: &Measurement, now_ns: Nanoseconds) -> PauseEvent {
+    /// Takes the next sample, which arrived at `now_ns`; `at_rest` is where the arm was at rest last.
+    pub fn update(
+        &mut self,
+        sample: &Measurement,
+        now_ns: Nanoseconds,
+        at_rest: RestingCounts,
+    ) -> PauseEvent {
         if self.is_over(now_ns) {
             return PauseEvent::Over;
         }
@@ -77,11 +75,11 @@ impl PauseWatch {
         }
         let Some(rest) = rest else { return PauseEvent::GoesOn };
         let elapsed_s = now_ns.saturating_sub(self.rest_ns) as f64 * 1e-9;
-        if !rest.is_creep_from(self.rest, elapsed_s, self.encoders) {
-            let counts = rest.arm_counts_since(self.rest);
+        if !rest.is_creep_from(at_rest, elapsed_s, self.encoders) {
+            let counts = rest.arm_counts_since(at_rest);
             return PauseEvent::Changed(Moved::Arm(self.encoders.theta.angle_rad(counts)));
         }
-        (self.rest, self.rest_ns) = (rest, now_ns);
+        self.rest_ns = now_ns;
         PauseEvent::Rests(rest)
     }
 
@@ -117,11 +115,11 @@ mod tests {
         let mut watch = RestWatch::new(Encoders::QUBE);
         let found = (0..).find_map(|tick| watch.update(&sample(tick)).map(|rest| (tick, rest)));
         let (first, mut at_rest) = found.unwrap();
-        let mut pause = PauseWatch::new(watch, Encoders::QUBE, at_rest, first * CONTROL_PERIOD_NS);
+        let mut pause = PauseWatch::new(watch, Encoders::QUBE, first * CONTROL_PERIOD_NS);
         let mut tick = first;
         loop {
             tick += if tick == first + 500 { gap_ticks } else { 1 };
-            match pause.update(&sample(tick), tick * CONTROL_PERIOD_NS) {
+            match pause.update(&sample(tick), tick * CONTROL_PERIOD_NS, at_rest) {
                 PauseEvent::GoesOn => {}
                 PauseEvent::Rests(rest) => at_rest = rest,
                 ends => return (ends, at_rest),

@@ -102,8 +102,8 @@ impl RestMonitor {
         self.left_at =
             if watch.has_jumped() { Err(Moved::Jumped) } else { left.ok_or(Moved::Unseen) };
         self.left_ns = clock.now_ns();
-        let rest = rest.filter(|_| self.left_at.is_ok() && clock.passes_by_itself());
-        self.pause = rest.map(|rest| PauseWatch::new(watch, self.encoders, rest, self.left_ns));
+        self.pause = (self.left_at.is_ok() && clock.passes_by_itself())
+            .then(|| PauseWatch::new(watch, self.encoders, self.left_ns));
         Ok(())
     }
 
@@ -116,14 +116,14 @@ impl RestMonitor {
     /// that creeps is followed. The watch ends where the arm's count changes in another way, which
     /// means homing again, and when its time is over.
     pub fn watch_pause(&mut self, device: &mut dyn Device, clock: &dyn Clock) {
-        let Some(mut pause) = self.pause.take() else { return };
+        let (Some(mut pause), Ok(left)) = (self.pause.take(), self.left_at) else { return };
         let sample_time_ns = device.sample_time_ns().unwrap_or(SAMPLE_TIMEOUT_NS);
         let next_ns = clock.now_ns() + CONTROL_PERIOD_NS;
         let goes_on = match device.sample(clock.now_ns() + sample_time_ns) {
             // The next motion finds out, and reports, that the motor is on or the device is lost.
             Ok(sample) if sample.status.armed => false,
             Err(fault) => DeviceLoss::of(fault).is_none() && !pause.is_over(clock.now_ns()),
-            Ok(sample) => self.follow(pause.update(&sample, clock.now_ns())),
+            Ok(sample) => self.follow(left, pause.update(&sample, clock.now_ns(), left.at_rest)),
         };
         if goes_on {
             self.pause = Some(pause);
@@ -139,8 +139,7 @@ impl RestMonitor {
     /// Stores where the arm is at rest now, if it has crept by no more than [`LARGEST_CREEP_RAD`]
     /// since the last homing. Else `left_at` becomes the reason why its zero does not hold. Returns
     /// whether the watch goes on.
-    fn follow(&mut self, seen: PauseEvent) -> bool {
-        let Ok(left) = self.left_at else { return false };
+    fn follow(&mut self, left: Left, seen: PauseEvent) -> bool {
         match seen {
             PauseEvent::GoesOn => true,
             PauseEvent::Over => false,
