@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError, bounded};
+use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded, select};
 
 use super::device_owner::{DeviceOwner, Homed};
 use super::latched_fault::LatchedFault;
@@ -78,8 +78,10 @@ impl ControlThread {
                 Scheduling::Ordinary => RealtimeRefusals::default(),
             };
             let _ = ready.send(report);
-            // Dropped after the device, also if a task panics.
+            // Dropped after the device and the inbox, also if a task panics: no task can be handed
+            // to a thread that has ended.
             let _alive = alive;
+            let inbox = inbox;
             let mut owner = DeviceOwner::new(device, clock, stop, shown);
             while let Some(task) = next_task(&inbox, &mut owner) {
                 task(&mut owner);
@@ -161,10 +163,8 @@ impl ControlThread {
         let result = self.begin(move |owner| owner.rollout(&settings, controller, &mut records))?;
         let mut is_reported = false;
         loop {
-            match result.recv_timeout(LATCHED_FAULT_POLL) {
-                Ok(finished) => return finished,
-                Err(RecvTimeoutError::Disconnected) => return Err(self.gone().into()),
-                Err(RecvTimeoutError::Timeout) => {}
+            if let Some(finished) = self.receive(&result, LATCHED_FAULT_POLL)? {
+                return finished;
             }
             if let Some(fault) = self.latched.get().filter(|_| !is_reported) {
                 is_reported = true;
@@ -220,7 +220,25 @@ impl ControlThread {
         &self,
         task: impl FnOnce(&mut DeviceOwner) -> R + Send + 'static,
     ) -> Result<R, ThreadGone> {
-        self.begin(task)?.recv().map_err(|_| self.gone())
+        let result = self.begin(task)?;
+        loop {
+            if let Some(result) = self.receive(&result, Duration::MAX)? {
+                return Ok(result);
+            }
+        }
+    }
+
+    /// Waits for the result of a task for at most `timeout`.
+    ///
+    /// # Errors
+    /// The thread is gone. A task that was handed over while the thread ended stays in the channel,
+    /// and its result never comes.
+    fn receive<R>(&self, result: &Receiver<R>, timeout: Duration) -> Result<Option<R>, ThreadGone> {
+        select! {
+            recv(result) -> result => result.map(Some).map_err(|_| self.gone()),
+            recv(self.ended) -> _ => result.try_recv().map(Some).map_err(|_| ThreadGone),
+            default(timeout) => Ok(None),
+        }
     }
 
     /// The error of a thread that ends. Waits until the thread has dropped the device, which
@@ -342,6 +360,42 @@ mod tests {
         assert!(matches!(lent, Err(ControlError::ThreadGone(_))), "{lent:?}");
         assert_eq!(Arc::strong_count(&in_use), 1);
         assert!(thread.hello().is_err());
+    }
+
+    /// Says when it is dropped, and takes a while.
+    struct SlowDrop(Sender<()>);
+
+    impl Drop for SlowDrop {
+        fn drop(&mut self) {
+            self.0.send(()).unwrap();
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    }
+
+    #[test]
+    fn a_task_that_is_handed_over_while_the_thread_ends_is_not_waited_for() {
+        let (dropped, ends) = bounded(1);
+        let of_device = SlowDrop(dropped);
+        let mut device = PlantDevice::new(State::default());
+        device.disturbance = Box::new(move |_| {
+            let _ = &of_device;
+            None
+        });
+        let clock: Arc<dyn Clock> = Arc::new(device.clock.clone());
+        let thread =
+            ControlThread::spawn(Box::new(device), clock, Scheduling::Ordinary, Arc::default())
+                .unwrap();
+        thread.hello().unwrap();
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let lent = thread.lend(|_, _, _, _| panic!("the task panics on purpose"));
+                let lent: Result<(), _> = lent;
+                assert!(matches!(lent, Err(ControlError::ThreadGone(_))), "{lent:?}");
+            });
+            ends.recv().unwrap();
+            let late = thread.hello();
+            assert!(matches!(late, Err(ControlError::ThreadGone(_))), "{late:?}");
+        });
     }
 
     #[test]
