@@ -13,8 +13,8 @@ use rustix::fs::{Mode, OFlags, open};
 use rustix::io::fcntl_dupfd_cloexec;
 use rustix::stdio::{stderr, stdin};
 use rustix::termios::{
-    LocalModes, OptionalActions, QueueSelector, SpecialCodeIndex, Termios, tcflush, tcgetattr,
-    tcgetpgrp, tcsetattr,
+    InputModes, LocalModes, OptionalActions, QueueSelector, SpecialCodeIndex, Termios, tcflush,
+    tcgetattr, tcgetpgrp, tcsetattr,
 };
 
 /// The terminal's settings before single keys were read; `None` while these settings are in force.
@@ -152,7 +152,8 @@ pub fn leave() {
 
 /// Sets the terminal to single keys without echo; does nothing in the background, without a
 /// terminal, or after [`leave`]. Until [`restore`], Ctrl-\\ is a key like others, because its signal
-/// would end the program without braking the arm and restoring the terminal.
+/// would end the program without braking the arm and restoring the terminal; so is Ctrl-S, which
+/// would hold up the screen, and with it the program's end.
 pub fn set_single_keys() {
     let mut saved = SETTINGS_BEFORE.lock().unwrap_or_else(PoisonError::into_inner);
     if LEFT.load(Ordering::Relaxed) || !is_foreground() {
@@ -165,6 +166,7 @@ pub fn set_single_keys() {
     }
     let mut single = now.clone();
     single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+    single.input_modes.remove(InputModes::IXON);
     single.special_codes[SpecialCodeIndex::VMIN] = 1;
     single.special_codes[SpecialCodeIndex::VTIME] = 0;
     single.special_codes[SpecialCodeIndex::VQUIT] = 0;

@@ -154,7 +154,7 @@ fn the_space_bar_brakes_a_run_as_ctrl_c_does_and_gives_the_terminal_back() {
 #[test]
 fn the_first_ctrl_c_after_another_stop_lets_the_brake_end() {
     in_real_time(|| {
-        for stop in ["space", "Ctrl-\\", "SIGTERM"] {
+        for stop in ["space", "Ctrl-\\", "space after Ctrl-S", "SIGTERM"] {
             let directory = tempfile::tempdir().unwrap();
             let mut terminal = Terminal::start(directory.path(), &RUN);
             terminal.wait_for_text("space bar or Ctrl-C");
@@ -168,7 +168,11 @@ fn the_first_ctrl_c_after_another_stop_lets_the_brake_end() {
                     143
                 }
                 key => {
-                    terminal.press(if key == "space" { b" " } else { b"\x1c" });
+                    terminal.press(match key {
+                        "space" => b" ",
+                        "space after Ctrl-S" => b"\x13 ",
+                        _ => b"\x1c",
+                    });
                     terminal.wait_for_text("stopping");
                     130
                 }
