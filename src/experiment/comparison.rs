@@ -29,7 +29,8 @@ pub struct Comparison {
     /// Success rate of the second recipe less the first's, over the pairs.
     pub success_difference: f64,
     /// Number of comparisons on the same plant at the same budget, for which both p-values are
-    /// corrected.
+    /// corrected. It leaves out two methods that have the same policies, such as two rivals that
+    /// both begin with the policy of `robust`.
     pub corrected_for: usize,
     /// p-value of `success_difference`: McNemar's exact test (1947), two-sided, corrected by Holm
     /// (1979).
@@ -81,9 +82,11 @@ fn compare_all(recipes: &[&RecipeResult]) -> Vec<Comparison> {
         let others = &recipes[index + 1..];
         comparisons.extend(others.iter().filter_map(|second| compare(first, second)));
     }
-    let by_success = holm(&comparisons.iter().map(|it| it.success_p).collect::<Vec<_>>());
-    let by_return = holm(&comparisons.iter().map(|it| it.return_p).collect::<Vec<_>>());
-    let corrected_for = comparisons.len();
+    let corrected_for = comparisons.iter().map(|it| it.corrected_for).sum();
+    let corrected = |p_of: fn(&Comparison) -> f64| {
+        holm(&comparisons.iter().map(p_of).collect::<Vec<_>>(), corrected_for)
+    };
+    let (by_success, by_return) = (corrected(|it| it.success_p), corrected(|it| it.return_p));
     for (index, comparison) in comparisons.iter_mut().enumerate() {
         (comparison.success_p, comparison.return_p) = (by_success[index], by_return[index]);
         comparison.corrected_for = corrected_for;
@@ -91,7 +94,9 @@ fn compare_all(recipes: &[&RecipeResult]) -> Vec<Comparison> {
     comparisons
 }
 
-/// Compares two recipes, without Holm's correction; `None` if no number has a policy of both.
+/// Compares two recipes, without Holm's correction: `corrected_for` is 1, or 0 if the policies of
+/// each pair earn exactly the same, because then they are the same policies, and no test is made.
+/// Returns `None` if no number has a policy of both.
 fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
     let pairs: Vec<(&PolicyResult, &PolicyResult)> = first
         .policies
@@ -115,7 +120,7 @@ fn compare(first: &RecipeResult, second: &RecipeResult) -> Option<Comparison> {
         first: first.recipe.clone(),
         second: second.recipe.clone(),
         pairs: pairs.len(),
-        corrected_for: 1,
+        corrected_for: usize::from(differences != vec![0.0; pairs.len()]),
         success_difference: (gained as f64 - lost as f64) / pairs.len() as f64,
         success_p: mcnemar(gained, lost),
         return_difference: mean(&differences),
@@ -174,14 +179,16 @@ fn superiority(differences: &[f64]) -> f64 {
     differences.iter().map(score).sum::<f64>() / differences.len() as f64
 }
 
-/// Corrects p-values for their number by Holm's step-down method.
-fn holm(p_values: &[f64]) -> Vec<f64> {
+/// Corrects p-values by Holm's step-down method for a number of tests. If there are more p-values
+/// than tests, those without a test are 1.
+fn holm(p_values: &[f64], tests: usize) -> Vec<f64> {
     let mut order: Vec<usize> = (0..p_values.len()).collect();
     order.sort_by(|a, b| p_values[*a].total_cmp(&p_values[*b]));
     let mut corrected = vec![0.0; p_values.len()];
     let mut largest: f64 = 0.0;
     for (rank, index) in order.into_iter().enumerate() {
-        largest = largest.max((p_values.len() - rank) as f64 * p_values[index]).min(1.0);
+        let remaining = tests.saturating_sub(rank).max(1);
+        largest = largest.max(remaining as f64 * p_values[index]).min(1.0);
         corrected[index] = largest;
     }
     corrected
@@ -190,6 +197,8 @@ fn holm(p_values: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::RolloutResult;
+    use crate::scoring::{Behaviour, Quietness};
 
     #[test]
     fn mcnemar_is_a_binomial_test_of_the_pairs_that_differ() {
@@ -227,11 +236,40 @@ mod tests {
     #[test]
     fn holm_corrects_by_the_number_of_remaining_p_values() {
         // R: p.adjust(c(0.01, 0.04, 0.03, 0.005), "holm").
-        let corrected = holm(&[0.01, 0.04, 0.03, 0.005]);
+        let corrected = holm(&[0.01, 0.04, 0.03, 0.005], 4);
         for (found, expected) in corrected.iter().zip([0.03, 0.06, 0.06, 0.02]) {
             assert!((found - expected).abs() < 1e-12, "{corrected:?}");
         }
-        assert_eq!(holm(&[0.9, 0.8]), [1.0, 1.0]);
+        assert_eq!(holm(&[0.9, 0.8], 2), [1.0, 1.0]);
+        assert_eq!(holm(&[1.0, 0.02, 1.0], 2), [1.0, 0.04, 1.0]);
+    }
+
+    #[test]
+    fn a_method_that_shares_the_policies_of_another_adds_no_test() {
+        let policy = |(number, return_)| PolicyResult {
+            number,
+            simulated_return: 540.0,
+            rollouts: vec![RolloutResult {
+                return_: Some(return_),
+                behaviour: Behaviour::Balanced,
+                quietness: Quietness::NONE,
+            }],
+            recordings: Default::default(),
+            fallback: None,
+        };
+        let result = |name: &str, returns: [f64; 6]| RecipeResult {
+            recipe: name.into(),
+            plant: "lab".into(),
+            budget: Some(0),
+            psi: Default::default(),
+            policies: (0..).zip(returns).map(policy).collect(),
+        };
+        let robust = result("robust", [500.0, 510.0, 505.0, 507.0, 503.0, 501.0]);
+        let simopt = RecipeResult { recipe: "simopt".into(), ..robust.clone() };
+        let history = result("history", [520.0, 521.0, 522.0, 523.0, 524.0, 525.0]);
+        let compared = compare_all(&[&robust, &simopt, &history]);
+        let found = compared.iter().map(|it| (it.corrected_for, it.return_p)).collect::<Vec<_>>();
+        assert_eq!(found, [(2, 1.0), (2, 2.0 * 2.0 / 64.0), (2, 2.0 * 2.0 / 64.0)]);
     }
 
     #[test]
