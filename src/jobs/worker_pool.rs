@@ -136,7 +136,10 @@ impl WorkerPool {
         if self.appeared == self.appeared_at_start
             && self.started.is_some_and(|started| started.elapsed() >= folder.terms().stale())
         {
-            self.warn_once("workers were started, and none has appeared yet: waiting".to_owned());
+            let last = last_log_line(folder).unwrap_or_default();
+            self.warn_once(format!(
+                "workers were started, and none has appeared yet: waiting. {last}"
+            ));
         }
         // Workers that the operator has started by hand count, too.
         let expected = expected.max(alive);

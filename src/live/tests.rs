@@ -2,7 +2,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -480,7 +480,9 @@ fn half_open_connections_take_a_bounded_number_of_places_and_give_them_back() {
     });
     assert!(closed.count() >= MAX_CONNECTIONS);
     drop(silent);
+    let begun = Instant::now();
     loop {
+        assert!(begun.elapsed() < Duration::from_secs(60), "no place is given back");
         let mut stream = connect(address);
         let request = format!("GET / HTTP/1.1\r\nHost: {address}\r\n\r\n");
         let mut answer = String::new();
@@ -518,7 +520,9 @@ fn a_stop_arrives_while_all_places_for_viewers_are_taken() {
     // A viewer that goes frees its place.
     drop(viewers);
     let mut answer = 0;
+    let begun = Instant::now();
     while answer == 0 {
+        assert!(begun.elapsed() < Duration::from_secs(60), "no place becomes free");
         answer = watch().read(&mut [0]).unwrap_or(0);
     }
 }

@@ -259,14 +259,19 @@ mod tests {
         let writer = RolloutWriter::begin(disk, path, header(), POLICY).unwrap();
         let (mut producer, consumer) = rtrb::RingBuffer::new(16);
         let recorder = Recorder::spawn(path, writer, consumer, false, Vec::new()).unwrap();
+        let begun = Instant::now();
+        let pause = || {
+            assert!(begun.elapsed() < Duration::from_secs(60), "the recorder takes no ticks");
+            std::thread::yield_now();
+        };
         for number in 0..200 {
             while producer.is_full() {
-                std::thread::yield_now();
+                pause();
             }
             producer.push(tick(number)).unwrap();
         }
         while !recorder.has_failed() {
-            std::thread::yield_now();
+            pause();
         }
         let error = recorder.finish(outcome(), Vec::new()).unwrap_err();
         assert!(matches!(error, RecordingError::DiskFull { .. }), "{error}");

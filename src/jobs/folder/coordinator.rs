@@ -35,6 +35,13 @@ impl JobFolder {
         let mut watch = HeartbeatWatch::new(holder.clone(), self.terms().stale().max(of_last));
         let begun = std::time::Instant::now();
         let mut first = None;
+        let pause = || {
+            if stop.load(Ordering::Relaxed) {
+                return Err(JobFolderError::Stopped { path: self.root().to_owned() });
+            }
+            std::thread::sleep(self.terms().beat().min(Duration::from_secs(1)));
+            Ok(())
+        };
         loop {
             let last = self.last_coordinator()?;
             let number = last.map_or(Ok(0), |last| self.number_after(last))?;
@@ -53,11 +60,8 @@ impl JobFolder {
                         let (path, by) = (self.root().to_owned(), state.creator());
                         return Err(JobFolderError::TwoCoordinators { path, by });
                     }
-                    if stop.load(Ordering::Relaxed) {
-                        return Err(JobFolderError::Stopped { path: self.root().to_owned() });
-                    }
                     first.get_or_insert((last, state));
-                    std::thread::sleep(self.terms().beat().min(Duration::from_secs(1)));
+                    pause()?;
                     continue;
                 }
             }
@@ -67,7 +71,8 @@ impl JobFolder {
                     self.write_terms()?;
                     return Ok(Coordinator { number, heartbeat });
                 }
-                Ok(None) => {}
+                // The file exists, although the listing of a shared folder does not show it yet.
+                Ok(None) => pause()?,
                 Err(source) => return Err(refused(&path, source)),
             }
         }

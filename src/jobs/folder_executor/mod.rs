@@ -150,7 +150,15 @@ impl Executor for FolderExecutor {
             }
             let notice = match receiver.recv_timeout(POLL_INTERVAL) {
                 Ok(notice) => notice,
-                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Timeout) => {
+                    // A thread that ends without a panic has sent the reason to every caller.
+                    let ended = self.watch_thread.as_ref().is_some_and(JoinHandle::is_finished);
+                    assert!(
+                        !ended || !receiver.is_empty(),
+                        "the thread that watches the folder of jobs has panicked"
+                    );
+                    continue;
+                }
                 Err(RecvTimeoutError::Disconnected) => break,
             };
             // A job that could not be put into the folder has ended already.

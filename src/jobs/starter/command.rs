@@ -215,7 +215,9 @@ mod tests {
         let template = "trap '' TERM; touch {folder}/ready; while :; do sleep 1; done";
         let mut starter = CommandStarter::new(template, String::new()).unwrap();
         starter.start(&folder, 1).unwrap();
+        let begun = Instant::now();
         while !root.join("ready").exists() {
+            assert!(begun.elapsed() < Duration::from_secs(60), "the command does not begin");
             std::thread::sleep(POLL_INTERVAL);
         }
         starter.cancel();
