@@ -13,8 +13,8 @@ use crate::clock::Clock;
 use crate::device::{Device, DeviceError, Identity};
 use crate::estimation::MeasuredRig;
 use crate::policy::Controller;
-use crate::safety::MotorHeat;
-use crate::telemetry::{TickRecord, TickSettings};
+use crate::safety::{Limit, MotorHeat};
+use crate::telemetry::{Ending, TickRecord, TickSettings};
 
 /// The result of a homing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -143,7 +143,12 @@ impl DeviceOwner {
         let driven = self.drive_from_rest(settings, controller, records);
         // The resting counts of the last motion do not hold after this rollout, however it ended.
         self.rest_monitor.left_at = Err(Moved::Unseen);
-        Ok(self.keep_at_rest(driven?))
+        let report = self.keep_at_rest(driven?);
+        if report.outcome.ending == Ending::LeftBox(Limit::Unpredicted) {
+            self.rest_monitor.left_at = Err(Moved::Unpredicted);
+            self.rest_monitor.end_pause();
+        }
+        Ok(report)
     }
 
     /// Drives a rollout if arm and pendulum are at rest where the last motion left them.
@@ -264,7 +269,7 @@ mod tests {
     use super::*;
     use crate::policy::{ClassicalController, ClassicalGains, Policy};
     use crate::qube::{State, Status};
-    use crate::telemetry::{Ending, Fault};
+    use crate::telemetry::Fault;
 
     #[test]
     fn a_stopped_homing_whose_motor_nobody_confirmed_to_be_off_latches_a_fault() {

@@ -70,7 +70,7 @@ impl PauseWatch {
         let step = sample.theta_counts.wrapping_sub(before_counts.unwrap_or(sample.theta_counts));
         let rest = self.watch.update(sample);
         let largest_step = self.encoders.theta.covering_qube_counts(LARGEST_STEP_COUNTS);
-        if step.unsigned_abs() > largest_step.unsigned_abs() || self.watch.has_jumped() {
+        if step.unsigned_abs() > largest_step.unsigned_abs() || self.watch.has_jumped_or_drifted() {
             return PauseEvent::Changed(Moved::Jumped);
         }
         let Some(rest) = rest else { return PauseEvent::GoesOn };
@@ -190,7 +190,7 @@ mod tests {
         monitor.keep(None, &mut device, &clock, &AtomicBool::new(false)).unwrap();
         let begun_ns = clock.now_ns();
         assert!(monitor.watches_pause());
-        while monitor.watches_pause() {
+        while monitor.watches_pause() && clock.now_ns() < begun_ns + 10_000_000_000 {
             monitor.watch_pause(&mut device, &clock);
         }
         let watched_s = (clock.now_ns() - begun_ns) as f64 * 1e-9;

@@ -99,8 +99,11 @@ impl RestMonitor {
         }
         let rest = watched.ok().flatten();
         let left = rest.map(|rest| Left { came_to_rest: rest, at_rest: rest });
-        self.left_at =
-            if watch.has_jumped() { Err(Moved::Jumped) } else { left.ok_or(Moved::Unseen) };
+        self.left_at = if watch.has_jumped_or_drifted() {
+            Err(Moved::Jumped)
+        } else {
+            left.ok_or(Moved::Unseen)
+        };
         self.left_ns = clock.now_ns();
         self.pause = (self.left_at.is_ok() && clock.passes_by_itself())
             .then(|| PauseWatch::new(watch, self.encoders, self.left_ns));

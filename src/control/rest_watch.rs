@@ -68,12 +68,16 @@ pub enum Moved {
         "the pendulum rests {0:.2} rad from where it hung (a hand, or a loose plug of its encoder)"
     )]
     Pendulum(f64),
-    /// The arm's count jumped after the last motion.
-    #[error("the arm's count jumped while the motor was off (its encoder's cable?)")]
+    /// The arm's count jumped, or drifted away from its tachometer, after the last motion.
+    #[error("the arm's count jumped or drifted while the motor was off (its encoder's cable?)")]
     Jumped,
     /// Arm and pendulum were not seen at rest, either after the last motion or before this one.
     #[error("arm and pendulum were not seen to come to rest since the last motion")]
     Unseen,
+    /// The guard ended the last rollout because the Qube moved unlike its profile; counts that the
+    /// arm's encoder lost may be the cause.
+    #[error("the Qube moved unlike its profile, as if counts of the arm's encoder were lost")]
+    Unpredicted,
 }
 
 impl RestingCounts {
@@ -121,7 +125,7 @@ impl RestingCounts {
 }
 
 /// Detects when arm and pendulum are at rest while the amplifier is off, and whether the arm's
-/// count has jumped meanwhile.
+/// count has jumped or drifted meanwhile.
 #[derive(Clone, Copy, Debug)]
 pub struct RestWatch {
     encoders: Encoders,
@@ -134,7 +138,7 @@ pub struct RestWatch {
     /// Number of these samples that make a rest.
     needed_samples: u32,
     drift: CountDrift,
-    has_jumped: bool,
+    has_jumped_or_drifted: bool,
 }
 
 /// The previous sample, and the arm's velocity, counts a tick.
@@ -159,7 +163,7 @@ impl RestWatch {
             samples: 0,
             needed_samples: REST_SAMPLES,
             drift: CountDrift::coming_to_rest(),
-            has_jumped: false,
+            has_jumped_or_drifted: false,
         }
     }
 
@@ -202,7 +206,7 @@ impl RestWatch {
             (self.samples, self.needed_samples) = (1, REST_SAMPLES);
         }
         let is_at_rest = self.samples >= self.needed_samples;
-        self.has_jumped |= is_at_rest && self.drift.is_large();
+        self.has_jumped_or_drifted |= is_at_rest && self.drift.is_large();
         is_at_rest.then(|| RestingCounts { theta: self.theta.middle(), alpha: self.alpha.middle() })
     }
 
@@ -216,8 +220,8 @@ impl RestWatch {
     /// Returns whether the arm's count has jumped by more than an arm can move, or has departed from
     /// its tachometer by as much as a rollout would not tolerate.
     #[must_use]
-    pub fn has_jumped(&self) -> bool {
-        self.has_jumped
+    pub fn has_jumped_or_drifted(&self) -> bool {
+        self.has_jumped_or_drifted
     }
 
     fn follow(&mut self, sample: &Measurement) {
@@ -234,9 +238,9 @@ impl RestWatch {
             if let Some(before) = last.velocity {
                 let kick = (counts - before * ticks).abs();
                 let largest_kick = LARGEST_KICK_COUNTS * encoder.counts_per_qube_count();
-                self.has_jumped |= kick > largest_kick * ticks.max(1.0);
+                self.has_jumped_or_drifted |= kick > largest_kick * ticks.max(1.0);
             }
-            self.has_jumped |= self.drift.has_drifted(
+            self.has_jumped_or_drifted |= self.drift.has_drifted(
                 encoder.angle_rad(moved),
                 Duration::from_micros(elapsed_us),
                 encoder.angle_rad(sample.tachometer_counts_s),
@@ -301,7 +305,7 @@ mod tests {
             let encoders = Encoders { theta: encoder(counts), ..fine };
             let mut watch = RestWatch::after(Some(&sample(0, 0, 0)), encoders);
             watch.update(&sample(1, 40, 0));
-            watch.has_jumped()
+            watch.has_jumped_or_drifted()
         };
         assert!(jumps(2048) && !jumps(8192));
         let mut coarse = RestWatch::new(Encoders { theta: encoder(1000), alpha: encoder(1000) });
@@ -326,7 +330,7 @@ mod tests {
             let moves = Measurement { tachometer_counts_s: 200, ..moves };
             assert_eq!(watch.update(&moves), None);
         }
-        assert!(!watch.has_jumped());
+        assert!(!watch.has_jumped_or_drifted());
         let rested = (200..).find_map(|tick| watch.update(&sample(tick, 398, 0)));
         assert!(matches!(rested, Some(RestingCounts { theta: 390..=398, alpha: 0 })), "{rested:?}");
     }
@@ -368,7 +372,7 @@ mod tests {
                     ..sample(tick, 1000 + coasted + jumped, 0)
                 });
             }
-            watch.has_jumped()
+            watch.has_jumped_or_drifted()
         };
         assert!(!coming(500, 0));
         for jump_at in [1, 2, 20, 60] {
@@ -383,7 +387,7 @@ mod tests {
             for tick in 1..ticks + 100 {
                 watch.update(&sample(tick, (tick.min(ticks) * counts_s / 100) as i32, 0));
             }
-            watch.has_jumped()
+            watch.has_jumped_or_drifted()
         };
         for counts_s in [100, 200, 300, 600, 1000, 1500] {
             assert!(departs(counts_s, 200), "{counts_s} counts/s");
@@ -395,7 +399,7 @@ mod tests {
             let tachometer_counts_s = if tick < 100 { 163 } else { 0 };
             frozen.update(&Measurement { tachometer_counts_s, ..sample(tick, 0, 0) });
         }
-        assert!(frozen.has_jumped());
+        assert!(frozen.has_jumped_or_drifted());
         assert!(!departs(50, 200));
         assert!(!departs(300, 40));
     }
@@ -409,7 +413,7 @@ mod tests {
             for (device_time_us, theta_counts) in times_us.into_iter().zip(counts) {
                 watch.update(&Measurement { device_time_us, theta_counts, ..sample(0, 0, 0) });
             }
-            watch.has_jumped()
+            watch.has_jumped_or_drifted()
         };
         assert!(!after_close_samples(1, 0));
         assert!(!after_close_samples(-3, 0));

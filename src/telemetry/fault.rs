@@ -126,7 +126,7 @@ faults! {
         "the computer stood still for 2 s or more in the middle of a motion (asleep, or the program was stopped?)",
         "Make sure that nobody is near the arm, then start again. Switch the computer's sleep off while it drives a Qube.";
     CountsMoved: TryAgain,
-        "a count of arm or pendulum moved while the motor was off (a hand, or an encoder's cable)",
+        "a count of arm or pendulum moved while the motor was off, or may have slipped in a rollout (a hand, or an encoder's cable)",
         "Keep hands off during a run. If nobody touched the Qube: check the cables of both encoders.";
     TooLate: TryAgain,
         "five ticks in a row were more than 10 ms late, or this computer skipped control periods again and again",
