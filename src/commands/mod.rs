@@ -77,6 +77,7 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
+use exit::Failure;
 use output::Output;
 
 use crate::clock::RealtimeRefusals;
@@ -136,6 +137,35 @@ enum Command {
     Manual(manual::Arguments),
 }
 
+impl Command {
+    /// Returns whether the command neither drives a Qube nor trains, so that it needs no orderly
+    /// stop.
+    const fn only_computes(&self) -> bool {
+        match self {
+            Self::Import(_)
+            | Self::Identify(_)
+            | Self::Benchmark(_)
+            | Self::Toy(_)
+            | Self::Replay(_)
+            | Self::Report(_)
+            | Self::Export(_)
+            | Self::Recover(_)
+            | Self::Config(_)
+            | Self::Completions(_)
+            | Self::Manual(_) => true,
+            Self::Session(_)
+            | Self::Experiment(_)
+            | Self::Work(_)
+            | Self::Train(_)
+            | Self::Run(_)
+            | Self::Check(_)
+            | Self::Doctor(_)
+            | Self::Emulate(_)
+            | Self::Soak(_) => false,
+        }
+    }
+}
+
 /// Parses the command line, runs the command, and returns the exit code.
 #[must_use]
 pub fn main() -> ExitCode {
@@ -157,31 +187,40 @@ pub fn main_with(program: Option<PathBuf>, arguments: Vec<OsString>) -> u8 {
     };
     log_to_stderr(command_line.verbose);
     let output = Output::new(command_line.json);
-    let outcome = match command_line.command {
-        Command::Session(arguments) => session::run(*arguments, &output),
-        Command::Experiment(arguments) => experiment::run(*arguments, &output),
-        Command::Work(arguments) => work::run(&arguments, &output),
-        Command::Train(arguments) => train::run(arguments, &output),
-        Command::Import(arguments) => import::run(&arguments, &output),
-        Command::Identify(arguments) => identify::run(&arguments, &output),
-        Command::Run(arguments) => run::run(arguments, &output),
-        Command::Check(arguments) => check::run(&arguments, &output),
-        Command::Doctor(arguments) => doctor::run(&arguments, &output),
-        Command::Emulate(arguments) => emulate::run(&arguments, &output),
-        Command::Benchmark(arguments) => benchmark::run(&arguments, &output),
-        Command::Toy(arguments) => toy::run(&arguments, &output),
-        Command::Replay(arguments) => replay::run(&arguments, &output),
-        Command::Report(arguments) => report::run(&arguments, &output),
-        Command::Export(arguments) => export::run(&arguments, &output),
-        Command::Recover(arguments) => recover::run(&arguments, &output),
-        Command::Soak(arguments) => soak::run(arguments, &output),
-        Command::Config(arguments) => config::run(&arguments, &output),
-        Command::Completions(arguments) => completions::run(&arguments, &output),
-        Command::Manual(arguments) => manual::run(&arguments, &output),
-    };
+    let outcome = run_command(command_line.command, &output);
     match output.finish(outcome) {
         Ok(()) => 0,
         Err(failure) => failure.report(),
+    }
+}
+
+/// Runs a command, and prints its result.
+fn run_command(command: Command, output: &Output) -> Result<(), Failure> {
+    // Without `--json` the signal itself ends a command that only computes, as other programs.
+    if output.is_for_scripts() && command.only_computes() {
+        stop::end_at_signals()?;
+    }
+    match command {
+        Command::Session(arguments) => session::run(*arguments, output),
+        Command::Experiment(arguments) => experiment::run(*arguments, output),
+        Command::Work(arguments) => work::run(&arguments, output),
+        Command::Train(arguments) => train::run(arguments, output),
+        Command::Import(arguments) => import::run(&arguments, output),
+        Command::Identify(arguments) => identify::run(&arguments, output),
+        Command::Run(arguments) => run::run(arguments, output),
+        Command::Check(arguments) => check::run(&arguments, output),
+        Command::Doctor(arguments) => doctor::run(&arguments, output),
+        Command::Emulate(arguments) => emulate::run(&arguments, output),
+        Command::Benchmark(arguments) => benchmark::run(&arguments, output),
+        Command::Toy(arguments) => toy::run(&arguments, output),
+        Command::Replay(arguments) => replay::run(&arguments, output),
+        Command::Report(arguments) => report::run(&arguments, output),
+        Command::Export(arguments) => export::run(&arguments, output),
+        Command::Recover(arguments) => recover::run(&arguments, output),
+        Command::Soak(arguments) => soak::run(arguments, output),
+        Command::Config(arguments) => config::run(&arguments, output),
+        Command::Completions(arguments) => completions::run(&arguments, output),
+        Command::Manual(arguments) => manual::run(&arguments, output),
     }
 }
 

@@ -6,13 +6,40 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
 
 use super::exit::Failure;
+use super::output::Output;
 use super::printable::print_message;
 use super::terminal;
 
 /// Longest time that the answer to Ctrl-C delays the end of a command.
 const LONGEST_ANSWER: Duration = Duration::from_millis(500);
+
+/// Ends the program at the first Ctrl-C, SIGTERM or SIGHUP, for a command that only computes and
+/// has no state to keep. The failure is its result for scripts.
+pub fn end_at_signals() -> Result<(), Failure> {
+    let failed = |error| Failure::failed(format!("signals cannot be handled: {error}"));
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP]).map_err(failed)?;
+    let wait = move || {
+        let Some(signal) = signals.forever().next() else { return };
+        let print = move || {
+            let stopped = Failure::interrupted(signal, "stopped: the result is not complete");
+            if let Err(failure) = Output::new(true).finish(Err(stopped)) {
+                failure.report();
+            }
+        };
+        // Stdout may be a pipe from which nobody reads, and must not delay the end.
+        if let Ok(printing) = std::thread::Builder::new().spawn(print) {
+            let begun = Instant::now();
+            while !printing.is_finished() && begun.elapsed() < LONGEST_ANSWER {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        }
+        std::process::exit(128 + signal);
+    };
+    std::thread::Builder::new().name("signals".into()).spawn(wait).map(drop).map_err(failed)
+}
 
 /// A request to stop, set by a signal, a key or the live view.
 #[derive(Clone, Debug, Default)]

@@ -3,8 +3,9 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use super::reader::{checked_scan, read_bytes, recording};
-use super::{Recording, RecordingError, RolloutWriter};
+use super::{Recording, RecordingError, RolloutWriter, Unreadable};
 use crate::storage::{Disk, WriteError, write_new};
+use crate::telemetry::TickRecord;
 
 /// The result of a recovery.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,12 +36,14 @@ pub enum Recovered {
 
 /// Writes the intact part of `damaged` as a complete recording to the new file `saved`, which
 /// appears whole or not at all. The old file is never changed. If ticks are intact, a policy that
-/// is missing or damaged is replaced by an empty one.
+/// is missing or damaged is replaced by an empty one. The ticks are saved in order, and a tick that
+/// the file holds more than once is saved once.
 ///
 /// # Errors
 /// The old file cannot be read or is not a recording of this format, its header is missing or
-/// damaged, or neither policy nor tick is intact; or the new file exists already and stays as it
-/// is; or the new file cannot be written, and nothing remains of it.
+/// damaged, neither policy nor tick is intact, or two ticks with the same number differ; or the new
+/// file exists already and stays as it is; or the new file cannot be written, and nothing remains
+/// of it.
 pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovered, RecordingError> {
     let unreadable = |why| RecordingError::Unreadable { path: damaged.to_owned(), why };
     let bytes = read_bytes(disk, damaged)?;
@@ -51,11 +54,12 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
     if damage.is_some() && !scan.ticks.is_empty() {
         scan.policy.get_or_insert_default();
     }
-    let recording = recording(scan).map_err(unreadable)?;
+    let mut recording = recording(scan).map_err(unreadable)?;
     let Some(damage) = damage else {
         let without_policy = recording.policy.is_empty().then(|| "lacks its policy".to_owned());
         return Ok(Recovered::WasWhole { loss: recording.loss().or(without_policy) });
     };
+    recording.ticks = in_order(recording.ticks).map_err(unreadable)?;
     let (ticks, missing_ticks) = (recording.ticks.len(), recording.missing_ticks());
     let has_outcome = recording.outcome.is_some();
     let whole_steps = recording.outcome.as_ref().map_or(0, |outcome| outcome.steps as usize);
@@ -82,6 +86,24 @@ pub fn recover(disk: &dyn Disk, damaged: &Path, saved: &Path) -> Result<Recovere
     })
 }
 
+/// The ticks in order, each once.
+///
+/// # Errors
+/// Two ticks with the same number differ.
+fn in_order(mut ticks: Vec<TickRecord>) -> Result<Vec<TickRecord>, Unreadable> {
+    ticks.sort_by_key(|tick| tick.tick);
+    // By their text, because NaN does not equal itself.
+    let are_equal =
+        |one: &TickRecord, other: &TickRecord| format!("{one:?}") == format!("{other:?}");
+    ticks.dedup_by(|one, other| one.tick == other.tick && are_equal(one, other));
+    match ticks.windows(2).find(|pair| pair[0].tick == pair[1].tick) {
+        Some(pair) => Err(Unreadable::Unusable {
+            reason: format!("it has two ticks {} that differ", pair[0].tick),
+        }),
+        None => Ok(ticks),
+    }
+}
+
 /// The bytes of a complete recording; `path` only appears in errors.
 fn whole(
     path: &Path,
@@ -103,7 +125,7 @@ fn whole(
 mod tests {
     use super::super::samples::{POLICY, find_all, header, outcome, recorded, ticks};
     use super::super::tests::all_bits;
-    use super::super::{Completeness, Unreadable, read};
+    use super::super::{Completeness, read};
     use super::*;
     use crate::storage::MachineDisk;
 
@@ -223,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_declaration_of_the_channels_costs_a_finished_recording_no_tick() {
+    fn a_damaged_declaration_of_the_channels_costs_no_tick() {
         let directory = tempfile::tempdir().unwrap();
         let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
         let mut bytes = recorded(&ticks(40));
@@ -239,10 +261,45 @@ mod tests {
             "{recovered:?}"
         );
         assert_eq!(all_bits(&read(&saved).unwrap().ticks), all_bits(&ticks(40)));
-        // An index that is damaged too declares nothing.
+        // An index that is damaged too, or not found because the lengths of records are zero,
+        // declares nothing; the channels are those that this program writes.
         let place = bytes.len() - 100;
         bytes[place] ^= 0x55;
-        assert_eq!(checked_scan(&bytes).unwrap().ticks, []);
+        assert_eq!(all_bits(&checked_scan(&bytes).unwrap().ticks), all_bits(&ticks(40)));
+        bytes[inside_first - 90..inside_first + 90].fill(0);
+        bytes.remove(inside_first);
+        assert_eq!(all_bits(&checked_scan(&bytes).unwrap().ticks), all_bits(&ticks(40)));
+    }
+
+    #[test]
+    fn a_block_that_is_in_the_file_twice_is_saved_once() {
+        let directory = tempfile::tempdir().unwrap();
+        let (damaged, saved) = (directory.path().join("a.mcap"), directory.path().join("b.mcap"));
+        let bytes = recorded(&ticks(40));
+        let name = find_all(&bytes, b"lz4")[3];
+        let length = u64::from_le_bytes(bytes[name - 40..name - 32].try_into().unwrap());
+        let block = name - 41..name - 32 + length as usize;
+        for place in [block.end, find_all(&bytes, b"lz4")[4] - 41] {
+            let mut twice = bytes.clone();
+            twice.splice(place..place, bytes[block.clone()].to_vec());
+            std::fs::write(&damaged, twice).unwrap();
+            let recovered = recover(&MachineDisk, &damaged, &saved).unwrap();
+            assert!(
+                matches!(recovered, Recovered::Saved { ticks: 40, missing_ticks: 0, .. }),
+                "{recovered:?}"
+            );
+            assert_eq!(all_bits(&read(&saved).unwrap().ticks), all_bits(&ticks(40)));
+            std::fs::remove_file(&saved).unwrap();
+        }
+    }
+
+    #[test]
+    fn two_ticks_with_the_same_number_that_differ_are_not_saved() {
+        let mut both = ticks(2);
+        both[1].tick = both[0].tick;
+        both[1].voltage_mv = both[0].voltage_mv + 1;
+        let why = in_order(both).unwrap_err().to_string();
+        assert!(why.contains("two ticks 0 that differ"), "{why}");
     }
 
     #[test]

@@ -3,7 +3,7 @@ use std::io::{self, Read};
 
 use thiserror::Error;
 
-use super::channels::topic;
+use super::channels::{Channel, topic};
 use super::tick_messages::{
     CommandMessage, MeasurementMessage, SafetyMessage, StateMessage, TickMessages, TimingMessage,
 };
@@ -29,6 +29,9 @@ const MAX_ATTACHMENT_BYTES: usize = 1 << 24;
 /// Largest number of searches for the next record after a defect of a file. Without a limit the
 /// time for a hostile file would grow with the square of its size.
 const MAX_SEARCHES: u32 = 100;
+
+/// Number of the first channel that this program writes.
+const FIRST_CHANNEL: u16 = 1;
 
 /// The intact records of a recording's file, and its first defect.
 #[derive(Default)]
@@ -122,10 +125,12 @@ pub(super) enum ScanDefect {
 /// bytes, [`MAGIC`].
 ///
 /// A damaged block is left out, and reading continues after it. The first block declares the
-/// channels, and the index of a finished file repeats them: without both, the ticks of no block can
-/// be read.
+/// channels, and the index of a finished file repeats them; where both are lost, the channels count
+/// as those that this program writes.
 pub(super) fn scan(bytes: &[u8]) -> Scan {
-    let mut scan = Scan { channels: indexed_channels(bytes), ..Scan::default() };
+    let mut channels = written_channels();
+    channels.extend(indexed_channels(bytes));
+    let mut scan = Scan { channels, ..Scan::default() };
     let mut offset = MAGIC.len();
     let mut summary_start = None;
     let mut searches = 0;
@@ -365,6 +370,11 @@ fn is_index_sound(bytes: &[u8], footer: &Frame<'_>, start: Option<usize>) -> boo
         && start.is_some_and(|start| {
             stored == Some(CRC_32.checksum(&bytes[start..footer.offset + covered]))
         })
+}
+
+/// The channels that this program writes: the writer numbers them in their order.
+fn written_channels() -> HashMap<u16, Topic> {
+    (FIRST_CHANNEL..).zip(Channel::ALL.map(|it| Topic::named(it.topic()))).collect()
 }
 
 /// The channels that a file's index declares; none if the file has no intact index.

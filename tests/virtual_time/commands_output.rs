@@ -3,6 +3,9 @@
 
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
 
 use crate::program::{has_refused, qube_hil, refused, succeeds};
 use crate::shared::{command_in, isolate};
@@ -154,6 +157,41 @@ fn a_result_that_cannot_be_printed_is_a_failure() {
         let stderr = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{stderr}");
         assert!(stderr.contains("could not be printed"), "{stderr}");
+    }
+}
+
+/// Waits until a process handles this signal, by the kernel's record of the process.
+fn wait_until_handled(process: Pid, signal: Signal) {
+    let status = format!("/proc/{}/status", process.as_raw_nonzero());
+    let begun = Instant::now();
+    let is_handled = || {
+        let text = std::fs::read_to_string(&status).unwrap();
+        let mask = text.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+        let mask = u64::from_str_radix(mask.trim(), 16).unwrap();
+        (mask >> (signal.as_raw() - 1)) & 1 == 1
+    };
+    while !is_handled() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "{signal:?} is not handled");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn a_signal_ends_a_computation_with_a_result_for_scripts() {
+    let directory = tempfile::tempdir().unwrap();
+    // A minute of computing, or more.
+    let benchmark = ["benchmark", "regret", "--json", "--out", "regret"];
+    for (signal, exit_code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+        let mut command = command_in(directory.path());
+        command.args(benchmark).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let computing = command.spawn().unwrap();
+        let process = Pid::from_child(&computing);
+        wait_until_handled(process, signal);
+        kill_process(process, signal).unwrap();
+        let output = computing.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(exit_code), "{output:?}");
+        let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(result["ended_by"]["exit_code"], exit_code, "{result}");
     }
 }
 
