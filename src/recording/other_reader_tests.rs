@@ -68,6 +68,32 @@ fn a_recording_is_an_mcap_file_for_other_readers() {
     assert_eq!(endings, 1);
 }
 
+#[test]
+fn a_recording_whose_blocks_another_writer_has_divided_anew_loses_no_tick() {
+    let bytes = recorded(&ticks(40));
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    for block_bytes in [1, 900, 5000, 1 << 20] {
+        let options = mcap::WriteOptions::new().compression(Some(mcap::Compression::Lz4));
+        let options = options.chunk_size(Some(block_bytes));
+        let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+        for index in &summary.metadata_indexes {
+            let mcap::records::Metadata { name, metadata } =
+                mcap::read::metadata(&bytes, index).unwrap();
+            writer.write_metadata(&mcap::records::Metadata { name, metadata }).unwrap();
+        }
+        for index in &summary.attachment_indexes {
+            writer.attach(&mcap::read::attachment(&bytes, index).unwrap()).unwrap();
+        }
+        for message in mcap::MessageStream::new(&bytes).unwrap() {
+            writer.write(&message.unwrap()).unwrap();
+        }
+        writer.finish().unwrap();
+        let recording = parse(&writer.into_inner().into_inner()).unwrap();
+        assert_eq!(all_bits(&recording.ticks), all_bits(&ticks(40)), "{block_bytes}");
+        assert_eq!(recording.outcome, Some(outcome()));
+    }
+}
+
 fn list(message: &DynamicMessage, field: &str) -> Vec<Value> {
     message.get_field_by_name(field).unwrap().as_list().unwrap().to_vec()
 }

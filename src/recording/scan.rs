@@ -51,6 +51,10 @@ pub(super) struct Scan {
     /// True if the file ends with a footer and the magic bytes, as a finished file does.
     pub(super) closed: bool,
     channels: HashMap<u16, Topic>,
+    /// Messages of a tick that goes on in the next block, and the tick's number. This program ends
+    /// every block with a whole tick, but another one may have divided the messages anew.
+    messages: TickMessages,
+    open_tick: Option<u32>,
 }
 
 /// The place and nature of a defect.
@@ -317,8 +321,8 @@ impl Scan {
         let content = decompress(body)?;
         let mut channels = HashMap::new();
         let mut ticks = Vec::new();
-        let mut messages = TickMessages::default();
-        let mut open = None;
+        let mut messages = std::mem::take(&mut self.messages);
+        let mut open = self.open_tick.take();
         let mut offset = 0;
         while offset < content.len() {
             let record = frame(&content, offset).ok_or(ScanDefect::CutRecordInBlock)?;
@@ -337,6 +341,9 @@ impl Scan {
                     };
                     let declared = channels.get(&id).or_else(|| self.channels.get(&id));
                     let topic = *declared.ok_or(ScanDefect::UnknownChannel)?;
+                    if matches!(topic, Topic::Other) {
+                        continue;
+                    }
                     let message = Message { topic, json: fields.0 };
                     let completing = message.take_into(&mut messages)?;
                     if *open.get_or_insert(tick) != tick {
@@ -357,6 +364,7 @@ impl Scan {
         }
         self.ticks.extend(ticks);
         self.channels.extend(channels);
+        (self.messages, self.open_tick) = (messages, open);
         Ok(())
     }
 }
