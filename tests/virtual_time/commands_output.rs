@@ -49,6 +49,17 @@ fn a_profile_does_not_replace_a_table_that_it_would_be_fitted_to() {
 }
 
 #[test]
+fn a_benchmark_replaces_no_results_unless_asked() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::create_dir(directory.path().join("benchmark")).unwrap();
+    let numbers = directory.path().join("benchmark/noise.json");
+    std::fs::write(&numbers, "precious").unwrap();
+    let benchmark = ["benchmark", "noise", "--repetitions", "1"];
+    refused(directory.path(), &benchmark, 2, &["benchmark/noise.json exists", "--force"]);
+    assert_eq!(std::fs::read_to_string(&numbers).unwrap(), "precious");
+}
+
+#[test]
 fn a_benchmark_of_a_size_that_no_memory_holds_is_bad_usage() {
     let directory = tempfile::tempdir().unwrap();
     for option in ["--evaluations", "--repetitions"] {

@@ -58,6 +58,10 @@ pub struct Arguments {
     /// Folder for pictures, tables and numbers; created if it does not exist
     #[arg(long, value_name = "DIR", default_value = "benchmark")]
     out: PathBuf,
+
+    /// Replace the results of an earlier run
+    #[arg(long)]
+    force: bool,
 }
 
 /// The suites of comparisons.
@@ -72,6 +76,16 @@ enum Suite {
 /// Runs one suite.
 pub fn run(arguments: &Arguments, output: &Output) -> Result<(), Failure> {
     let _place = OutputFolder::of_option("--out", &arguments.out)?;
+    let numbers = arguments.out.join(match arguments.suite {
+        Suite::Regret => "regret.json",
+        Suite::Noise => "noise.json",
+    });
+    if numbers.exists() && !arguments.force {
+        return Err(Failure::usage(format!(
+            "{} exists already: name another folder with --out, or replace the results with --force",
+            numbers.display()
+        )));
+    }
     match arguments.suite {
         Suite::Regret => regret(arguments, output),
         Suite::Noise => noise(arguments, output),
@@ -244,6 +258,7 @@ mod tests {
             seed: 0,
             threads: None,
             out: folder.path().to_owned(),
+            force: false,
         };
         let finish = |pictured| {
             let output = Output::new(true);
