@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU32};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use qube_hil::clock::{Clock, Nanoseconds, VirtualClock};
 use qube_hil::control::{ControlError, HomingMethod, HomingSettings, Moved};
@@ -312,10 +312,16 @@ fn after_a_pause(watches_pauses: bool, fault: Option<&str>) -> (Bench, Rig) {
 /// Waits until the control thread watches the counts no longer, so that the time stands still, and
 /// then advances the time.
 fn pause_until(bench: &Bench, end_ns: Nanoseconds) {
-    let mut before_ns = None;
-    while before_ns != Some(bench.clock.now_ns()) {
-        before_ns = Some(bench.clock.now_ns());
-        std::thread::sleep(Duration::from_secs(1));
+    let begun = Instant::now();
+    let (mut before_ns, mut since) = (bench.clock.now_ns(), begun);
+    // On a busy computer the control thread may not compute for a second.
+    while since.elapsed() < Duration::from_secs(2) {
+        std::thread::sleep(Duration::from_millis(50));
+        let now_ns = bench.clock.now_ns();
+        if now_ns != before_ns {
+            (before_ns, since) = (now_ns, Instant::now());
+        }
+        assert!(begun.elapsed() < Duration::from_secs(120), "the counts are watched without end");
     }
     bench.clock.sleep_until(end_ns);
 }
