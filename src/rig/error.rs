@@ -129,8 +129,7 @@ pub enum RigError {
          middle and start again"
     )]
     MiddleLost {
-        /// Fault of the count: the board has restarted, or the count moved while the motor was off
-        /// or may have slipped in a rollout.
+        /// Fault of the count: the board has restarted, or the count moved while the motor was off.
         fault: Fault,
     },
     /// The Qube is in doubt, and no operator has acknowledged this yet.

@@ -41,14 +41,15 @@ const LEAST_AGE_S: f64 = 0.002;
 /// Largest age that is assumed for a sample without a device time, s.
 const LONGEST_AGE_S: f64 = 0.01;
 
-/// Returns whether the arm's count may be wrong before a rollout, because it jumped, moved farther
-/// than a cable pulls the arm, or contradicted the profile in the last rollout. Homing by hand touches no stop, so it would
+/// Returns whether the arm's count is probably wrong after a rest between two rollouts, because it
+/// jumped or moved farther than a cable pulls the arm. Homing by hand touches no stop, so it would
 /// not notice the error.
 fn is_no_creep(moved: Moved) -> bool {
     match moved {
         Moved::Arm(angle_rad) => angle_rad.abs() > LARGEST_CREEP_RAD,
-        Moved::Jumped | Moved::Unpredicted => true,
-        Moved::Pendulum(_) | Moved::Unseen => false,
+        Moved::Jumped => true,
+        // A wrong profile is the likely cause, and a hand would have to show the middle again.
+        Moved::Unpredicted | Moved::Pendulum(_) | Moved::Unseen => false,
     }
 }
 
