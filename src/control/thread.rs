@@ -342,13 +342,11 @@ mod tests {
         assert_eq!(rollout(&thread, settings).unwrap(), Ending::Completed);
     }
 
-    #[test]
-    fn a_thread_that_panics_is_gone_once_its_device_is_dropped() {
+    /// A thread that has sent its hello, and whose device holds this value until it is dropped.
+    fn holding<T: Send + 'static>(held: T) -> ControlThread {
         let mut device = PlantDevice::new(State::default());
-        let in_use = Arc::new(());
-        let of_device = Arc::clone(&in_use);
         device.disturbance = Box::new(move |_| {
-            let _ = &of_device;
+            let _ = &held;
             None
         });
         let clock: Arc<dyn Clock> = Arc::new(device.clock.clone());
@@ -356,6 +354,13 @@ mod tests {
             ControlThread::spawn(Box::new(device), clock, Scheduling::Ordinary, Arc::default())
                 .unwrap();
         thread.hello().unwrap();
+        thread
+    }
+
+    #[test]
+    fn a_thread_that_panics_is_gone_once_its_device_is_dropped() {
+        let in_use = Arc::new(());
+        let thread = holding(Arc::clone(&in_use));
         let lent: Result<(), _> = thread.lend(|_, _, _, _| panic!("the task panics on purpose"));
         assert!(matches!(lent, Err(ControlError::ThreadGone(_))), "{lent:?}");
         assert_eq!(Arc::strong_count(&in_use), 1);
@@ -375,17 +380,7 @@ mod tests {
     #[test]
     fn a_task_that_is_handed_over_while_the_thread_ends_is_not_waited_for() {
         let (dropped, ends) = bounded(1);
-        let of_device = SlowDrop(dropped);
-        let mut device = PlantDevice::new(State::default());
-        device.disturbance = Box::new(move |_| {
-            let _ = &of_device;
-            None
-        });
-        let clock: Arc<dyn Clock> = Arc::new(device.clock.clone());
-        let thread =
-            ControlThread::spawn(Box::new(device), clock, Scheduling::Ordinary, Arc::default())
-                .unwrap();
-        thread.hello().unwrap();
+        let thread = holding(SlowDrop(dropped));
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 let lent = thread.lend(|_, _, _, _| panic!("the task panics on purpose"));
